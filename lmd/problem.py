@@ -25,7 +25,7 @@ AT_ONCE = 5 * 10**8
 
 
 class Genome(Protocol):
-    """Encoding of a problem's candidates (deployments or rigs) as vectors in the unit box."""
+    """Encoding of candidates that an optimiser tries (deployments or rigs) as genes: vectors with entries in [0, 1]."""
 
     @property
     def dim(self) -> int:
@@ -33,7 +33,7 @@ class Genome(Protocol):
 
     @property
     def varies(self) -> bool:
-        """True if two calls of `draw_genes` can give different genes, because they are random."""
+        """True if `draw_genes` is random, so that two calls can give different genes."""
 
     def draw_genes(self, rng: np.random.Generator) -> FloatArray:
         """Draw the genes of a candidate to start from, `(dim,)`."""
@@ -52,7 +52,7 @@ class Genome(Protocol):
         """Cameras that the genes `(dim,)` of a candidate encode; None if the scene's camera is fixed."""
 
     def reached(self, fitness: float) -> None:
-        """Receive the best `fitness` of a checkpoint, so that a resumed run decides as an uninterrupted run would."""
+        """Receive the best fitness of a checkpoint, so that a resumed run decides as an uninterrupted run would."""
 
 
 def checked_genes(genes: FloatArray, *shape: int | str) -> FloatArray:
@@ -83,9 +83,10 @@ class Problem:
     """Problem of maximising an objective's fitness over deployments of K landmarks.
 
     `evaluator` evaluates the views from the P positions of the room's grid, with the orientations of the PDF;
-    `relevance` `(P,)` has the weights of these positions. All reported metrics are computed with this pair. Optimisers
-    use `fitness_evaluator` and `fitness_relevance`: the pair for the objective's random sample of poses or, if it has
-    none, the pair for the grid.
+    `relevance` `(P,)` has the weights of these positions. With a crowd of S states, P counts each position of the grid
+    S times. All reported metrics are computed with these two attributes. Optimisers use `fitness_evaluator` and
+    `fitness_relevance`, which are for the objective's random sample of poses; without a sample, they equal the first
+    two.
 
     Args:
         scene: scene, which is constant.
@@ -141,8 +142,9 @@ class Problem:
 
     @property
     def genome(self) -> Genome | None:
-        """Genome of a problem that varies something other than landmarks; None if landmarks vary, because each
-        optimiser has its own encoding of landmarks.
+        """Encoding of a problem that varies something other than landmarks, such as cameras; else None.
+
+        For landmarks, each optimiser has its own encoding.
         """
         return None
 
@@ -170,7 +172,7 @@ class Problem:
 
     @property
     def free_edges(self) -> FloatArray:
-        """Edge lengths of the landmarks to be placed, `(N,)`, metres; NaN for that of the scene's tag."""
+        """Edge lengths of the landmarks to be placed, `(N,)`, metres; NaN stands for the edge of the scene's tag."""
         return self.edges[self.fixed_count :]
 
     @property
@@ -191,10 +193,10 @@ class Problem:
         return free if self.fixed is None else self.fixed + free
 
     def separated(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
-        """Copy of the deployment in which overlapping footprints are pushed apart; fixed landmarks stay.
+        """Copy of the deployment in which overlapping footprints of landmarks are pushed apart; fixed landmarks stay.
 
         Args:
-            deployment: the deployment; the individual edge lengths of the start replace its own.
+            deployment: the deployment; its edge lengths are replaced by those of the problem.
             size: factor on the edge lengths of the footprints.
 
         Returns:
@@ -203,9 +205,9 @@ class Problem:
         return self.scene.footprints.separated(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
-        """Copy of an optimised deployment with the labels and edge lengths of the start, by index of the landmark.
+        """Copy of an optimised deployment with the labels and edge lengths of the start's landmarks of equal index.
 
-        Landmarks that an optimiser did not move keep their surveyed poses, too.
+        Landmarks that an optimiser did not move also keep their surveyed poses.
         """
         return replace(deployment, labels=self.labels, surveyed=self.surveyed, edges=self.edges)
 
@@ -223,17 +225,20 @@ class Problem:
         return float(self.fitness_from(self._values(self.fitness_evaluator, deployment)))
 
     def fitness_from(self, values: FloatArray) -> FloatArray:
-        """Fitness `(...)` computed from the objective's values `(..., P)` at the positions of `fitness_evaluator`."""
+        """Fitness `(...)` computed from the objective's values `(..., Q)` at the Q positions of `fitness_evaluator`."""
         fitness = over_states(self.objective, values, self.fitness_evaluator, self.fitness_relevance)
         return np.asarray(returned(self.objective, "fitness", fitness, *values.shape[:-1]))
 
     def values(self, deployment: Deployment) -> FloatArray:
-        """The objective's value in [0, 1] at every position of the grid and in every crowd state, `(P,)`."""
+        """The objective's value in [0, 1] at every position of the grid, `(P,)`.
+
+        With a crowd of S states, P counts each position S times: all positions in the first state, and so on.
+        """
         return self._values(self.evaluator, deployment)
 
     @property
     def places(self) -> FloatArray:
-        """Positions of the grid, metres, `(P / S, 3)`; each position occurs once, even if a crowd has S states."""
+        """Positions of the grid, metres, `(P / S, 3)`; P counts each position once for each of S crowd states."""
         return np.asarray(self.evaluator.positions[: len(self.relevance) // self.state_count])
 
     @property
@@ -242,8 +247,9 @@ class Problem:
         return 1 if self.scene.crowd is None else len(self.scene.crowd)
 
     def by_place(self, values: FloatArray) -> FloatArray:
-        """Mean of values `(P,)` over the crowd states, at each position of the grid; without a crowd, the values
-        themselves.
+        """Mean over the S crowd states of `values` `(P,)`, at each position of the grid, `(P / S,)`.
+
+        Without a crowd, these are the values themselves.
         """
         return np.asarray(values.reshape(self.state_count, -1).mean(axis=0))
 
@@ -275,7 +281,7 @@ class Problem:
         """Describe results of `metrics` as sentences for displays, keyed by label; the fitness comes first.
 
         Args:
-            figures: metrics, keyed by name.
+            figures: metrics as returned by `metrics`.
             count: number of landmarks.
         """
         drawn = " at the random poses of the search" if self.objective.sampling is not None else ""
@@ -288,10 +294,10 @@ class Problem:
     def resampled(self, share: float, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
         """Draw a new random sample of positions, as the objective's sampling does.
 
-        For optimisers that can change the sample during a run, which avoids fitting the deployment to one sample.
+        Some optimisers change the sample during a run, so that the deployment is not fitted to one sample.
 
         Args:
-            share: fraction of the sampling's positions that is drawn in each cell; at least one position is drawn.
+            share: fraction of the sampling's number of positions in each cell of the grid; at least one is drawn there.
             rng: random generator of the draw.
 
         Returns:
@@ -304,14 +310,15 @@ class Problem:
         return evaluator, np.tile(self.relevance[:cells], len(evaluator.positions) // cells)
 
     def _repeats(self, share: float) -> int:
-        """Number of random positions to draw in each cell: the fraction `share` of the sampling's, at least one."""
+        """Number of random positions to draw in each cell of the grid: `share` of the usual number, at least one."""
         assert self.objective.sampling is not None, "there is a sampling"
         most = self.objective.sampling.positions
         return max(1, math.ceil(share * (max(most, self.state_count) if seeks_worst(self.evaluator) else most)))
 
     def settings(self) -> Mapping[str, Any]:
-        """Settings that determine the results of `metrics`, for files of results. Infinite numbers are replaced by
-        None, because JSON has none.
+        """Settings that determine the results of `metrics`, keyed by name, for files of results.
+
+        Infinite numbers are replaced by None, because JSON has none.
         """
         scene = self.scene
         return {

@@ -35,7 +35,7 @@ def optimise(
 
 
 def evaluate(problem: Problem, deployment: Deployment, validate: bool = False, seed: int = 0) -> dict[str, float]:
-    """Compute the metrics of a deployment, fractions in [0, 1].
+    """Compute the metrics of a deployment, keyed by name; all are fractions in [0, 1].
 
     Args:
         problem: problem that defines the metrics.

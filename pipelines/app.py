@@ -88,8 +88,8 @@ def run_directory() -> Path:
 def choices(picked: Mapping[Any, Any] | None = None) -> dict[str, str]:
     """Option chosen in each config group, such as `{"room": "paper_simulation"}`, without Hydra's own groups.
 
-    A group that is used at another key, such as `odometry@objective.odometry`, gets the name of this key, because
-    mlflow allows no @ in names.
+    Hydra names a group that is placed at another key `GROUP@KEY`, such as `odometry@objective.odometry`. In the
+    result, such a group has the name `KEY`, because mlflow allows no @ in names.
 
     Args:
         picked: Hydra's `choices`; by default the `choices` of this job.
@@ -102,9 +102,8 @@ def choices(picked: Mapping[Any, Any] | None = None) -> dict[str, str]:
 def ends_reported() -> Iterator[None]:
     """Context in which an expected error ends the process with a message of one sentence and exit code 1.
 
-    Such errors are refused input, a full disk, and a folder that has the name of a file to be written. After refused
-    input no folder of the run is left. A failed allocation of memory counts as refused input, because only the largest
-    arrays are checked beforehand (`lmd.core.memory`).
+    Expected errors are refused input (`InputError`), too little memory, a full disk, and a folder that has the name of
+    a file to be written. After refused input or too little memory, the run's folder is removed if it has no results.
     """
     from lmd.core.checks import InputError
 
@@ -155,9 +154,10 @@ def discard_empty(directory: Path) -> None:
 
 
 def spelled(override: str) -> str:
-    """Quote a number with a plus sign in an override of `deployment.count`, and return the override.
+    """Return the override with its value in quotes if it sets `deployment.count` to a number with a plus sign.
 
-    Hydra would read the value of `deployment.count=+5` as the number 5. Other overrides are returned unchanged.
+    `deployment.count=+5` adds 5 landmarks to the fixed landmarks. Without quotes, Hydra would read +5 as the number 5,
+    which is the total. Other overrides are returned unchanged.
     """
     return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
 
@@ -182,18 +182,15 @@ def changes_results(key: str) -> bool:
 def search_path() -> list[str]:
     """Overrides of this process that add folders to Hydra's search path.
 
-    If a process composes another configuration, these must precede the other overrides, which may choose options in
-    these folders.
+    A process that composes another configuration must pass these overrides first, because later overrides may choose
+    options in the added folders.
     """
     own = HydraConfig.get().overrides.hydra if HydraConfig.initialized() else []
     return [override for override in own if override.startswith("hydra.searchpath=")]
 
 
 def config_dir() -> list[str]:
-    """Option `--config-dir` of this application as words of a command line; empty if the option is not given.
-
-    The words are passed to another process.
-    """
+    """Arguments `["--config-dir", FOLDER]` for another process; empty if this application was started without them."""
     sources = HydraConfig.get().runtime.config_sources
     return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
 

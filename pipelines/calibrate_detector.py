@@ -15,7 +15,7 @@ VIEWS_STREAM = 0x7669657773  # key that separates the random numbers of views fr
 
 
 def calibrate(cfg: DictConfig) -> Study:
-    """Prepare the fit of the limits within which each configured detector finds a tag."""
+    """Check the settings, and return the study that fits the limits within which each detector finds a tag."""
     from lmd.core.checks import integer, real, seed_number
     from lmd.core.optional import optional
     from lmd.detection.tag_views import SurveyedViews

@@ -30,7 +30,7 @@ BUDGETS = ("1", "2", "3")  # positions in the list of budgets of a suite problem
 
 
 def compare(cfg: DictConfig) -> Study:
-    """Prepare the configured comparison of optimisers, either on one problem or on problems of the suite."""
+    """Return the study that compares the configured optimisers, on one problem or on problems of the suite."""
     from lmd.core.checks import InputError
 
     entries = cfg.optimisers
@@ -40,7 +40,7 @@ def compare(cfg: DictConfig) -> Study:
 
 
 def _on_one_problem(cfg: DictConfig) -> Study:
-    """Prepare the study that compares the optimisers on the single problem of the configuration."""
+    """Return the study that compares the optimisers on the single problem of the configuration."""
     from lmd.core.checks import choice
     from lmd.optimisers.ledger import curve
 
@@ -86,7 +86,7 @@ def _on_one_problem(cfg: DictConfig) -> Study:
 
 
 def _over_suite(cfg: DictConfig) -> Study:
-    """Prepare the study that compares the optimisers on problems of the suite and writes the leaderboard.
+    """Return the study that compares the optimisers on problems of the suite and writes the leaderboard.
 
     Raises:
         InputError: a setting has a value that is not allowed.
@@ -140,8 +140,8 @@ def _configurations(taken: Mapping[str, Mapping[str, DictConfig]]) -> str:
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
     """Problems of the suite that the key `suite` chooses, by name.
 
-    The value of the key is the name of a set, the name of a problem, or a list of such names. Problems with several
-    objectives are left out of a set.
+    The value of the key is the name of a set of problems, the name of a problem, or a list of names of problems. Of a
+    set, only the problems with a single objective are used.
 
     Raises:
         InputError: there is no such problem, or the configuration also chooses parts of a problem.
@@ -195,7 +195,7 @@ def _composed(entry: str, words: str, is_shared: Callable[[str], bool]) -> DictC
     Args:
         entry: the entry, for error messages.
         words: name of the optimiser followed by overrides, separated by spaces.
-        is_shared: function that tells by the key if an override of the command line also applies here.
+        is_shared: function of a key; True if an override of this key on the command line is also used.
     """
     shared = [override for key, override in task_overrides() if is_shared(key)]
     name, *own = words.split()

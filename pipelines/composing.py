@@ -5,8 +5,8 @@
 2. Within the job, `settled` reads the values of these keys. If the values choose options, `settled` puts these options
    into Hydra's config store and composes again; the command line still overrides the options.
 
-Groups whose nodes describe objects are open: such a group accepts a key that no file has, and passes the key on to the
-class of the object, which refuses unknown keys.
+Some config groups describe an object. Such a group accepts keys that no configuration file has, and passes them on to
+the class of the object, which refuses unknown keys.
 """
 
 import re
@@ -193,7 +193,11 @@ def _stored(parts: Mapping[str, Any], option: str) -> dict[str, str]:
 
 
 def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
-    """Store the config nodes of a frozen problem of the suite, and return the overrides that choose these nodes.
+    """Store the config nodes of the suite's problem `cfg.suite`, and return the overrides that choose these nodes.
+
+    Args:
+        cfg: configuration.
+        named: keys of the overrides on the command line.
 
     Raises:
         InputError: the problem is unknown or belongs to another command, or the command line chooses a part of the
@@ -225,7 +229,11 @@ def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
 def _of_survey(directory: Path, trust: Trust) -> dict[str, str]:
     """Store the camera and the tag of a survey as config nodes, and return the overrides that choose these nodes.
 
-    Further overrides choose the survey's run and detectors, and set `frames` and `margin` to 0.
+    Further overrides choose the run and the detectors that the survey used, and set `frames` and `margin` to 0.
+
+    Args:
+        directory: folder of the survey.
+        trust: code that the user trusts in the survey's configuration.
     """
     before, parts = _parts_of(directory, "survey", trust, ("camera", "tag"))
     found = {"frames": "0", "margin": "0", "detectors": f"[{','.join(before.get('detectors') or {})}]"}
@@ -235,10 +243,18 @@ def _of_survey(directory: Path, trust: Trust) -> dict[str, str]:
 def _of_run(
     cfg: DictConfig, directory: Path, named: Iterable[str], command: str, options: Mapping[str, str], trust: Trust
 ) -> dict[str, str]:
-    """Store the problem and the landmarks of an earlier run as config nodes, and return the overrides that choose them.
+    """Store the problem and the landmarks of an earlier run as config nodes; return overrides that choose these nodes.
 
-    If the command line chooses another source of landmarks, the fixed landmarks and the number of landmarks of that run
-    remain the defaults.
+    If the command line chooses another source of landmarks, the fixed landmarks and the number of landmarks of the
+    earlier run remain the defaults.
+
+    Args:
+        cfg: configuration.
+        directory: folder of the earlier run.
+        named: keys of the overrides on the command line.
+        command: name of the present command.
+        options: option chosen in each config group.
+        trust: code that the user trusts in the earlier run's configuration.
 
     Raises:
         InputError: the run names code that the user does not trust, or lacks a file.
@@ -266,12 +282,12 @@ def _of_run(
 def _parts_of(
     directory: Path, argument: str, trust: Trust, groups: Sequence[str], files: Sequence[str] = FILES[:1]
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Read the configuration of an earlier run; return it as a whole, and the nodes of the config groups `groups`.
+    """Read the configuration of an earlier run; return the whole configuration, and the nodes of `groups` in it.
 
     Args:
         directory: folder of the run.
         argument: config key that names the run, for error messages.
-        trust: names that the user trusts.
+        trust: code that the user trusts in the earlier run's configuration.
         groups: config groups whose nodes are returned.
         files: files that the folder must have.
 

@@ -86,7 +86,7 @@ Log = Callable[[Contender, "OptimiserRun", str | None], None]
 def contend(
     cfg: DictConfig, jobs: Sequence[Contender], report: Told, log: Log = lambda *_: None, **about: Any
 ) -> Study:
-    """Prepare the study that does the runs of a comparison and reports on them.
+    """Return the study that does the runs of a comparison and reports on them.
 
     A result is reused if an earlier comparison has stored it for equal settings.
 
@@ -95,7 +95,7 @@ def contend(
         jobs: the runs to be compared.
         report: function that makes the report from the results of the finished runs.
         log: function that records a finished run as a child of the tracked run.
-        about: further arguments of `Study`, namely `about` or `problem`.
+        about: further fields of the returned `Study`: `about` or `problem`.
     """
     from lmd.core.checks import file_path
 

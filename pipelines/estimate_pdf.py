@@ -12,7 +12,7 @@ SETTINGS = ("divisions", "mean_interval", "significance")
 
 
 def estimate(cfg: DictConfig) -> Study:
-    """Prepare the estimate of the orientation PDF from the configured recording."""
+    """Estimate the orientation PDF from the configured recording; return a study that reports on the result."""
     import numpy as np
 
     from lmd.core.checks import seed_number

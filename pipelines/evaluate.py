@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def evaluate(cfg: DictConfig) -> Study:
-    """Prepare the studies listed in `studies` for the deployments of the configuration."""
+    """Return one study that conducts all studies listed in `studies`, for the configured deployments."""
     from lmd.core.checks import InputError, seed_number
 
     seed_number(cfg.seed)

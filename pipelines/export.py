@@ -46,7 +46,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
 
 
 def export(cfg: DictConfig) -> Study:
-    """Prepare the export of the configured deployment."""
+    """Return the study that writes the configured deployment in the formats listed in `formats`."""
     from lmd.core.checks import InputError
     from lmd.export.exports import all_formats
     from lmd.export.sheets import describe_sheets

@@ -51,7 +51,7 @@ def table_in(node: DictConfig) -> dict[str, Any]:
 
 
 def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None, DictConfig]:
-    """Total number of landmarks, and config node of the source of the landmarks that are not fixed.
+    """Return the total number of landmarks, and the config node of the source of the landmarks that are not fixed.
 
     Args:
         node: group `deployment`.
@@ -59,11 +59,11 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
 
     Returns:
         total number of landmarks, fixed ones included; None if no landmark is fixed or no count is given.
-        config node of the source. The count in it is None for a file, which may also contain the fixed landmarks, so
-            that the number in a file is checked after the fixed landmarks are added.
+        config node of the source. Its key `count` is the number of landmarks that the source places, or None if the
+            source is a file, which may also contain the fixed landmarks.
 
     Raises:
-        InputError: the count has a sign, such as +5, so it adds landmarks to the fixed landmarks, but no landmark is
+        InputError: the count has a plus sign, such as +5, which adds landmarks to fixed landmarks, but no landmark is
             fixed; or the count leaves no landmark to place.
     """
     from lmd.core.checks import InputError, integer
@@ -85,7 +85,7 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
 
 
 def take_sizes(node: DictConfig, tag: DictConfig) -> None:
-    """Set `tag.edges` to the edge lengths stated in the landmark files, if the user gives no lengths.
+    """Set `tag.edges` to the edge lengths in the landmark files, if all landmarks have one and the user gives none.
 
     Args:
         node: group `deployment`.
@@ -133,20 +133,21 @@ def spell_counts(node: DictConfig, tag: DictConfig) -> None:
 def divide_paper(
     cfg: DictConfig, scene: "Scene", objective: "Objective", threads: int | None, fixed: "Deployment | None"
 ) -> "Scene":
-    """Choose the number of tags of each size within the limit `tag.paper` or `tag.budget`.
+    """Choose by greedy selection how many tags of each size to place, within the user's limit on paper or cost.
 
-    The chosen numbers are written to the groups `deployment` and `tag`, and are printed in a note. Nothing is chosen if
-    the configuration gives the numbers or no limit.
+    The limit is `tag.paper`, the total area of paper, or `tag.budget`, the total cost. The chosen numbers are written
+    to the groups `deployment` and `tag`, and are printed. Nothing is chosen if the configuration has no limit, already
+    gives the numbers, or takes the landmarks from a file.
 
     Args:
         cfg: configuration, which is changed.
-        scene: scene with the tag that `tag` describes.
+        scene: scene with the tag that the group `tag` describes.
         objective: objective of the landmarks.
         threads: number of threads; None for every processor.
         fixed: fixed landmarks.
 
     Returns:
-        scene whose tag has the chosen numbers; `scene` itself if nothing is chosen.
+        scene whose tag has the chosen numbers as its `counts`; `scene` itself if nothing is chosen.
 
     Raises:
         InputError: the limit is too small, or the objective cannot compare sizes.

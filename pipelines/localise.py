@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def localise(cfg: DictConfig) -> Study:
-    """Prepare the localisation of the configured photographs or detections."""
+    """Localise the configured photographs or detections; return a study that reports on the result."""
     from lmd.adjust.motion import seconds_of
     from lmd.adjust.tables import files_of_model
     from lmd.core.checks import InputError, boolean, seed_number

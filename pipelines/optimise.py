@@ -40,7 +40,7 @@ SAME_WHEN_RESUMED = (*GROUPS, "encoding", "deployment", "optimiser", "seed")
 
 
 def optimise(cfg: DictConfig) -> Study:
-    """Prepare the search for the best landmarks, or for the best poses of cameras."""
+    """Return the study that searches for the best landmarks or, with `varies=cameras`, the best camera poses."""
     from lmd.core.checks import choice
 
     is_rig = choice("varies", cfg.varies, ("tags", "cameras")) == "cameras"
@@ -149,7 +149,7 @@ def _how_to_go_on() -> str:
 
 
 def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, Any]]":
-    """Build the problem of placing cameras; return it, and the source of the calibration of each kind of camera.
+    """Return the problem of placing cameras, and for each kind of camera the file or keys of its calibration.
 
     Raises:
         InputError: the parts of the problem do not fit together.

@@ -64,9 +64,9 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
 
 
 def with_camera_of_bag(cfg: DictConfig) -> DictConfig:
-    """Configuration in which the camera calibration of the bag `photographs` is used, if no other calibration is given.
+    """Take the camera calibration from the ROS bag `photographs`, if the configuration gives no other calibration.
 
-    The result is a changed copy, or `cfg` itself if `photographs` is not a bag with a calibration.
+    The result is a changed copy of `cfg`, or `cfg` itself if `photographs` is not a bag with a calibration.
     """
     from lmd.formats.bags import CAMERA_INFO, Bag, is_bag
 
@@ -97,7 +97,7 @@ def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
 
 
 def odometry_of(given: Any, key: str) -> "Trajectory | None":
-    """Read the odometry as a trajectory of the body; None if there is no odometry.
+    """Read the odometry, which is the trajectory of the robot or rig with the cameras; None if there is no odometry.
 
     Args:
         given: value at the config key `key`: the path of a file, or a mapping of the reader's arguments; None if there

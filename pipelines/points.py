@@ -65,23 +65,21 @@ class Ladder:
         return self._search(count, self.problem(count), ANEW)
 
     def improved(self, known: "Mapping[int, Found]", chosen: Iterable[int]) -> "dict[int, Found]":
-        """Results of new searches that begin from results for neighbouring numbers of landmarks.
-
-        See `lmd.evaluation.tradeoff.improved`.
+        """Search again from the results for neighbouring numbers of landmarks (`lmd.evaluation.tradeoff.improved`).
 
         Args:
             known: results of earlier searches, by the number of landmarks.
             chosen: numbers of landmarks for which new searches are done.
 
         Returns:
-            results by the number of landmarks.
+            best result, of the earlier and the new searches, for each number in `chosen`.
         """
         from lmd.evaluation.tradeoff import improved
 
         return improved(known, chosen, self.problem, self._search)
 
     def figures(self, count: int, found: "Found") -> dict[str, float]:
-        """Metrics of the deployment in `found`, which has `count` landmarks, on the grid and off it."""
+        """Metrics of the deployment in `found`, which has `count` landmarks, see `figures_of`."""
         from lmd.evaluation.tradeoff import SAMPLE
 
         score = partial(figures_of, self.problem(count), found.deployment, self.seed)
@@ -93,7 +91,7 @@ class Ladder:
         Args:
             count: number of landmarks.
             problem: problem with the start of the search.
-            way: name of the kind of start, which is part of the result.
+            way: name of the kind of start, such as `anew`; the result contains this name.
         """
         from lmd.evaluation.tradeoff import Found
         from lmd.scene.deployment import Deployment
@@ -128,7 +126,7 @@ class Ladder:
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
-    """Metrics of a deployment on the grid, and off the grid for a sample of random poses drawn with `seed`."""
+    """Metrics of a deployment at the positions of the room's grid, and at random poses drawn with `seed`."""
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import validation_metrics
@@ -158,7 +156,7 @@ class Points:
         self._figures: dict[tuple[int, int], dict[str, float]] = {}
 
     def look(self, chosen: Sequence[tuple[int, int]]) -> None:
-        """Search at the chosen points, and evaluate the best result of each point.
+        """Search at the chosen points, evaluate the best result of each point, and add these points to the results.
 
         At each point, the first search begins from the configured start. Further searches begin from the results of
         neighbouring points.
@@ -210,7 +208,10 @@ class Points:
 
     @property
     def table(self) -> "pd.DataFrame":
-        """Table with a row for each point: the columns `edge`, `count`, `seed`, `way` and one for each metric."""
+        """Table with a row for each point, and the columns `edge`, `count`, `seed`, `way` and one for each metric.
+
+        `way` names the kind of start from which the best result was found.
+        """
         import pandas as pd
 
         return pd.DataFrame([

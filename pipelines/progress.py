@@ -53,7 +53,7 @@ class Progress:
         checkpoint: checkpoint of the optimiser.
         directory: folder of the checkpoint.
         every: time between checkpoints, seconds.
-        logged: True if the record of the run already contains the history in the optimiser's ledger.
+        logged: True if the tracker already has the curve up to the present state, as in a resumed run.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Progress:
         self.saved = time.monotonic()
 
     def _curve(self, ledger: Ledger) -> list[tuple[int, float, float]]:
-        """Points of the curve of the best fitness, up to the step of the budget that has been spent."""
+        """Points of the curve of the best fitness, from the start of the run to the present."""
         spent = ledger.seconds if self.budget.evaluations is None else ledger.evaluations
         return curve(ledger.history, self.budget, spent + ROUNDING)
 

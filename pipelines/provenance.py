@@ -126,10 +126,10 @@ def digest(*parts: Any) -> str:
 
 
 def contents_of(settings: Any) -> dict[str, str]:
-    """Digest of the contents of every file named in `settings`.
+    """Digest of the contents of every file named in `settings`, keyed by file.
 
-    An example is `{"contents of flight.csv": "9f86d081884c7d65"}`. Every text in the settings that is the path of a
-    file, or of a folder with files, is used. A word that happens to be a path does no harm.
+    An example is `{"contents of flight.csv": "9f86d081884c7d65"}`. A file is found if a text in the settings, or a word
+    in such a text, is its path, or if a text is the path of its folder.
 
     Args:
         settings: resolved settings, nested in any way, or overrides.

@@ -66,10 +66,10 @@ def runs(cfg: DictConfig) -> None:
 
 
 def going_on(run: "pd.Series") -> str:
-    """Shell command that resumes a run, taken from the record of the run; empty if there is none.
+    """Shell command that resumes a run, taken from the record of the run; empty if the run cannot be resumed.
 
-    There is none if the run has finished or has left no checkpoint. There is also none for a job of a sweep, which the
-    command of the sweep resumes.
+    A run cannot be resumed if it still runs, has finished or has left no checkpoint. A job of a sweep cannot be resumed
+    alone; the command of the sweep resumes it.
 
     Args:
         run: row of `MlflowReader.runs`.

@@ -127,9 +127,10 @@ def scored(
 
 
 def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
-    """Prepare the score of deployments, and the configured studies of each deployment.
+    """Return the study that computes the metrics of each deployment, and does the analyses that are configured.
 
-    These studies are the loss of tags, the sensitivity, the measured poses of tags, and mounting errors.
+    The analyses are the accuracy of single images, the loss of tags, the sensitivity, the measured poses of tags, and
+    mounting errors.
 
     Args:
         cfg: configuration of the command.
@@ -229,8 +230,8 @@ def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
     """Conduct the configured studies of a deployment, one after the other.
 
     Yields:
-        for each study: its name, which is empty if the metrics belong to the deployment itself; its files; its metrics;
-            its text.
+        for each study: its name, its files, its metrics and its text. The name is empty if the metrics are those of the
+            deployment, which get no prefix.
     """
     from lmd.core.checks import InputError
 

@@ -127,12 +127,12 @@ def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def _of_pair(jobs: pd.DataFrame, n: int, thold_p: float) -> pd.DataFrame:
-    """Runs in `jobs` that have the given values of n and thold_p."""
+    """Runs in `jobs` whose objective has the given settings `n` and `thold_p`."""
     return jobs[(jobs[PAIR].astype(float) == [n, thold_p]).all(axis=1)]
 
 
 def _typical(jobs: pd.DataFrame) -> str:
-    """Id of the run with the median qualified ratio; of two runs in the middle, the one with the lower ratio."""
+    """Id of the run with the median `qualified_ratio`; of two middle runs, the run with the lower ratio."""
     return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
 
 
@@ -140,7 +140,7 @@ def _beside(printed: Any, jobs: pd.DataFrame) -> list[str]:
     """Cells of a table row that compares the paper with the runs `jobs`.
 
     The first cell is the number of runs. Two cells follow for each metric: the value `printed` in the paper, and the
-    median of the runs, in per cent. The last cell is the median off the grid.
+    median of the runs, in per cent. The last cell is the median at random poses (`GRID_FREE`).
     """
     cells = [f"{len(jobs)}"]
     for index in INDICES:

@@ -70,9 +70,9 @@ def observe(cfg: DictConfig, own: Own) -> Study:
 
 
 def _any_tag(cfg: DictConfig) -> DictConfig:
-    """Configuration without the tags' sizes, so that landmarks are points, if the visibility model is for points.
+    """Copy of the configuration in which landmarks are points, if the visibility model is for points.
 
-    Tags whose white margins overlap are then accepted; pictures still show the margins. If the model is for tags, the
+    Points cannot overlap, so tags whose white margins overlap are then accepted. If the model is for tags, the
     configuration is returned unchanged.
     """
     return cfg if "tag" in cfg.visibility else OmegaConf.merge(cfg, {"tag": {"edge": None}})  # type: ignore[return-value]
@@ -137,9 +137,10 @@ def detect(cfg: DictConfig, own: Own) -> Study:
 
 
 def rendered(cfg: DictConfig, count: int) -> "Rendered":
-    """Prepare the rendered images of a configuration's deployment, with the detectors to test.
+    """Return the test of detectors on rendered images of the configured deployment, ready to be conducted.
 
-    The result also has the sightings that are predicted for `count` random poses.
+    For each of `count` random poses, it has the tags that the visibility model predicts to be seen, and it can render
+    the images that the detectors read.
 
     Raises:
         InputError: the deployment, the tag or a detector cannot be used.

@@ -126,9 +126,9 @@ def bound(cfg: DictConfig, own: Own) -> Study:
 
 
 def uncertainty(cfg: DictConfig, own: Own) -> Study:
-    """Study of uncertainty: describe the standard deviations of the pose from one image.
+    """Study of uncertainty: standard deviations of the camera's pose when it is estimated from one image.
 
-    The results are tables, fitted formulas ("laws") and code.
+    The results are tables, formulas fitted to the standard deviations ("laws"), and Java code of these formulas.
     """
     from lmd.evaluation.uncertainty import UncertaintyStudy
     from lmd.evaluation.uncertainty import uncertainty as find
@@ -167,8 +167,8 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
 def acceptance(cfg: DictConfig, own: Own) -> Study:
     """Study of acceptance, which checks that tags hang as planned.
 
-    The study chooses stations at which a measurement would show a tag that hangs wrongly. If measurements from stations
-    are given, the study judges them instead.
+    The study chooses stations, poses of the camera at which a measurement would show a tag that hangs wrongly. If
+    measurements from stations are given, the study decides from them if the tags are accepted.
     """
     from scipy.linalg import block_diag
 

@@ -95,7 +95,7 @@ class Study:
 
 
 def conduct(cfg: DictConfig, study: Study) -> float | None:
-    """Conduct a study as a tracked run, and return the value for Hydra's sweeper; None if the study has none.
+    """Conduct a study as a tracked run; return the metric `Study.returned` for Hydra's sweeper, or None.
 
     Args:
         cfg: configuration of the run.
@@ -199,12 +199,12 @@ def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
     """Context with a started run of the configured tracker.
 
     An exception marks the run as FAILED, and Ctrl-C as KILLED. If the input is refused, the record of the run is
-    removed.
+    removed, except for a job of a sweep and for a run that was recorded earlier.
 
     Args:
         cfg: configuration, whose settings are recorded as parameters.
-        study: study of the run. If the record of the run that it continues cannot be extended, a new record is linked
-            to that run.
+        study: study of the run. If it continues an earlier run (`Study.earlier`), the record of that run is extended;
+            where this is not possible, a new record is made that names the earlier run.
     """
     tracker: Tracker = instantiate(cfg.tracking)
     directory, pipeline, job = run_directory(), HydraConfig.get().job.name, current_job()
@@ -244,7 +244,7 @@ def title_of(problem: "Problem", subject: str) -> str:
 
 
 def dataset_of(cfg: DictConfig, problem: "Problem") -> tuple[str, str]:
-    """Name and digest of a problem, a pair that mlflow calls a dataset and by which it can filter runs.
+    """Name and digest of a problem; mlflow calls this pair a dataset, and can list the runs on one dataset.
 
     Equal problems have equal digests, whichever options compose them. A frozen problem of the suite has its own name
     and digest.

@@ -38,7 +38,7 @@ KNOWN = ("origin", "points", "boards", "printed", "motion", "edges")
 
 
 def survey(cfg: DictConfig) -> Study:
-    """Prepare the survey, which estimates the map of the tags from the configured photographs or detections."""
+    """Estimate the map of the tags from photographs or detections; return a study that reports on the result."""
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.evaluation.audit import audited, in_the_open
     from lmd.evaluation.verdicts import verdicts
@@ -99,7 +99,9 @@ def _map_or_nothing(stages: "Stages") -> Iterator[None]:
 
 
 def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
-    """Scene in which the map is audited; if no room is given, a placeholder stands for the room.
+    """Scene for the audit, which compares the found tags with the tags that a visibility model predicts to be seen.
+
+    If no room is given, the scene has a placeholder.
 
     Raises:
         InputError: the visibility model is for points, not for tags.
@@ -202,10 +204,10 @@ def _files(
 
 
 def _audit_files(audit: "Audit", detector: str, title: str) -> dict[str, Any]:
-    """Contents of the files of an audit, keyed by file name.
+    """Contents of the files of a survey's audit, keyed by file name.
 
     Args:
-        audit: the audit.
+        audit: comparison of the detections with the tags that the visibility model predicts to be seen.
         detector: name of the detector.
         title: title of the picture.
     """

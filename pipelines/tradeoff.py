@@ -32,9 +32,9 @@ COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # figures off the 
 
 
 def tradeoff(cfg: DictConfig) -> Study:
-    """Prepare the searches for every combination of a number of landmarks, an edge length and a seed.
+    """Return the study that searches at every combination of a number of landmarks, an edge length and a seed.
 
-    If the key `size` is set, the study of the range at which tags are detected is prepared instead.
+    If the key `size` is set, the study of the function `size` is returned instead.
     """
     if cfg.size:
         return size(cfg)
@@ -89,7 +89,7 @@ def tradeoff(cfg: DictConfig) -> Study:
 
 
 def size(cfg: DictConfig) -> Study:
-    """Prepare the study of the range at which the configured camera detects each size of the configured tag."""
+    """Return the study of the range of distances at which the camera detects each configured size of the tag."""
     from lmd.core.checks import InputError
     from lmd.evaluation.reach import Reading, reach_text
     from lmd.sight.models.fiducial import Fiducial
@@ -116,9 +116,10 @@ def _listed(name: str, value: Any) -> list[Any]:
 
 
 def _report(cfg: DictConfig, table: "pd.DataFrame", problem: "Problem", figure: str, wanted: float | None) -> Report:
-    """Report on the points in `table`: curves of the metrics, and the least number of landmarks that is enough.
+    """Report on the points in `table`: curves of the metrics against the number of landmarks.
 
-    A number is enough if the metric `figure` reaches the value `wanted`. If `wanted` is None, this part is left out.
+    Unless `wanted` is None, the report also has the least number of landmarks for which the metric `figure` is at least
+    `wanted`.
     """
     from lmd.evaluation.maps import percent_text
     from lmd.evaluation.tradeoff import fewest, front

@@ -135,10 +135,7 @@ class Trust:
                 raise InputError(f"{place} is only imported by code that you trust: trust its own module too ({PAGE}).")
 
     def _texts_of(self, group: str) -> list[str]:
-        """Contents of the files of a config group, and of the configuration files of commands.
-
-        The latter contain nodes that belong to no group.
-        """
+        """Texts of the configuration files with nodes of a group: the files of the group, and the files of commands."""
         files = (file for at in self.folders for file in (*(at / group).rglob("*.yaml"), *at.glob("*.yaml")))
         return [file.read_text(encoding="utf-8", errors="replace") for file in files]
 
@@ -167,7 +164,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 
 def _place(found: Any, key: str, name: str) -> Any:
-    """Value to which the interpolation `${name}` refers in the value at `key`; None if there is no such value."""
+    """Value in the configuration `found` to which `${name}` refers at the key `key`; None if there is none."""
     up = len(name) - len(name.lstrip("."))
     for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", name)]:
         entries = dict(enumerate(found)) if isinstance(found, list) else found if isinstance(found, Mapping) else {}

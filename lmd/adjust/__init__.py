@@ -2,11 +2,13 @@
 
 Modules from the ground up:
 
-- `sightings` converts detections to measurements; `intrinsics` has the cameras' intrinsics and shifts of corners as
-  unknowns.
-- `corners` has reprojection errors, their Jacobians, noise, outliers, robust weights and losses, and resection.
-- `prior` has the priors on the poses of tags, of sheets with several tags and of cameras on the body (*mounts*);
-  `motion` predicts the pose of a frame relative to the previous frame; `links` compares the prediction with the poses.
+- `sightings` converts detections to measurements; `intrinsics` makes unknowns of the cameras' intrinsics and of the
+  shifts of tag edges by blur.
+- `corners` computes reprojection errors, their Jacobians and noise, robust weights and losses, and refines poses with
+  fixed tags (resection). It also finds outliers.
+- `prior` holds the priors on the poses of tags, of printed sheets with several tags, and of cameras on the body
+  (*mounts*). `motion` predicts the pose of a frame relative to the previous frame; `links` compares this prediction
+  with the estimated poses.
 - `adjustment` minimises the loss; `frames` eliminates the frames' poses, independent or linked by motion, and computes
   their covariances.
 - `candidates` proposes poses from single sightings. `drive` estimates the noise of a motion model (its *spread*), and

@@ -1,13 +1,13 @@
 """Bundle adjustment: the poses of tags, frames and cameras that minimise the robust reprojection error.
 
 A sighting (one tag detected in one image) has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2.
-Levenberg-Marquardt steps with iteratively reweighted least squares minimise a sum of losses: of sightings (Student's
-loss, see `lmd.adjust.corners`), of priors, and of the motion between frames (`lmd.adjust.links`).
+Levenberg-Marquardt steps with iteratively reweighted least squares minimise a sum of losses. The losses are those of
+sightings (Student's loss, see `lmd.adjust.corners`), of priors, and of the motion between frames (`lmd.adjust.links`).
 
 The *kept* unknowns are those that remain when the frames are eliminated (`lmd.adjust.frames`): poses of tags, poses of
-cameras on the body (*mounts*) except the first, the bias of odometry, and nuisance parameters. Let H_ff, H_kk and H_kf
-be the blocks of the normal matrix, and g_f and g_k those of the right side, for frames (f) and kept unknowns (k). The
-step d_k of the kept unknowns solves
+cameras on the body (*mounts*) except the first, the bias of odometry, and nuisance parameters (intrinsics, shifts of
+corners, shapes of tags). Let H_ff, H_kk and H_kf be the blocks of the normal matrix, and g_f and g_k those of the right
+side, for frames (f) and kept unknowns (k). The step d_k of the kept unknowns solves
 
     (H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f.
 
@@ -48,8 +48,8 @@ CHANGE = 1e-3  # relative change for derivatives of determinants
 
 
 class System(NamedTuple):
-    """Normal equations of the kept unknowns, which are all but the frames' poses, at one linearisation. The frames are
-    eliminated.
+    """Normal equations of the kept unknowns, linearised at given poses. The kept unknowns are all unknowns but the
+    poses of the frames, which are eliminated from the equations.
     """
 
     matrix: FloatArray
@@ -61,14 +61,16 @@ class System(NamedTuple):
 
     @property
     def informed(self) -> tuple[IntArray, FloatArray]:
-        """Unknowns about which there is information: their indices, `(n,)`, and submatrix of `matrix`, `(n, n)`."""
+        """Unknowns about which there is information. The first array has their indices, `(n,)`; the second has their
+        rows and columns of `matrix`, `(n, n)`.
+        """
         rows = np.flatnonzero(np.diag(self.matrix) > 0.0)
         return rows, self.matrix[np.ix_(rows, rows)]
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of the kept unknowns, a matrix as large as `matrix`. NaN for unknowns about which there is no
-        information.
+        """Covariance of the kept unknowns (all but the frames' poses), as large as `matrix`. Rows and columns of
+        unknowns about which there is no information are NaN.
         """
         (rows, matrix), whole = self.informed, np.full_like(self.matrix, np.nan)
         whole[np.ix_(rows, rows)] = np.linalg.inv(matrix)
@@ -82,8 +84,9 @@ class System(NamedTuple):
         return float(np.linalg.slogdet(self.informed[1])[1]) + self.frames.log_determinant
 
     def reached(self, kept: FloatArray) -> FloatArray:
-        """Product H_fk x, `(F, 6, ...)`, for values x of all kept unknowns, `kept` `(kept, 6, ...)`. H_fk is the block
-        of the normal matrix with the rows of the F frames and the columns of the kept unknowns.
+        """Product H_fk x, `(F, 6, ...)`, by which the kept unknowns x enter the equations of the F frames. H_fk is the
+        block of the normal matrix with the rows of the frames and the columns of the kept unknowns. x is `kept`
+        `(kept, 6, ...)`.
         """
         return np.concatenate([part.reached(kept) for part in self.frames.parts])
 
@@ -92,7 +95,8 @@ class Adjustment:
     """Bundle adjustment of sightings; every sighting's tag and frame must have an initial pose.
 
     The kept unknowns (all but the frames' poses) are in blocks of six: twists of tags, twists of mounts (poses of the
-    cameras on the body), the bias of odometry, nuisance parameters of each camera, and shapes of tags.
+    cameras on the body), the bias of odometry, nuisance parameters of each camera (intrinsics and shifts of corners),
+    and shapes of tags.
 
     Args:
         sightings: the sightings.
@@ -168,8 +172,8 @@ class Adjustment:
     def _part(
         self, some: Sightings, poses: Poses, floor: float, damping: float, weight: float | None, kept: Kept
     ) -> Part:
-        """Add the contributions of the sightings `some` to the normal equations `kept` of the kept unknowns. Return the
-        equations of the frames of these sightings.
+        """Add the contributions of the sightings `some` to `kept`, the normal equations of the kept unknowns. Return
+        the normal equations of the frames that have these sightings.
         """
         at, variance = Reprojection(some, *poses.of(some)), some.variance(floor)
         trust = student_weight(at.squared / variance) if weight is None else weight
@@ -221,10 +225,10 @@ class Adjustment:
         parameter is its prior standard deviation.
 
         Args:
-            poses: best poses for the present nuisance parameters.
-            floor: best standard deviation of corners in addition to the detector's own, for these parameters, pixels.
+            poses: poses before the step.
+            floor: standard deviation of corners in addition to the detector's own, pixels.
             damping: relative increase of the diagonals of the blocks (Levenberg-Marquardt).
-            off: distance of the nuisance parameters from their prior means, `(n, 6)`.
+            off: nuisance parameters before the step, minus their prior means, `(n, 6)`.
 
         Returns:
             poses after the step; step of the nuisance parameters, `(n, 6)`; covariance of the nuisance parameters,
@@ -288,15 +292,15 @@ class Adjustment:
         return Poses(*map(_orthonormal, (poses.tags, poses.frames, poses.mounts))), floor
 
     def fixed_system(self, poses: Poses, floor: float) -> System:
-        """Normal equations in which all sightings have an equal weight, as in ordinary least squares. The weight is
-        chosen such that the covariance equals that of the robust fit, see `efficiency`.
+        """Normal equations in which all sightings have an equal weight, as in ordinary least squares. With this weight,
+        the covariance equals that of the fit with robust weights, see `efficiency`.
         """
         slope, spread = self.efficiency(poses, floor)
         return self.system(poses, floor, 0.0, slope**2 / spread)
 
     def efficiency(self, poses: Poses, floor: float) -> tuple[float, float]:
-        """Two factors by which robust weights change the covariance, at the given poses and floor. They are the mean
-        slope of the robust estimating equations and the variance of their right side, see
+        """Two numbers, slope and variance, that give the covariance of the fit with robust weights at `poses`. Least
+        squares in which all sightings have the weight slope^2 / variance have this covariance, see
         `lmd.adjust.corners.efficiency`.
         """
         self._update_share(poses, floor)
@@ -306,8 +310,9 @@ class Adjustment:
         """Marginal covariance of the body-frame twist (X -> X exp(twist)) of each frame with sightings, `(F, 6, 6)`.
 
         With the covariance C of the kept unknowns, the frames have the covariance H_ff^-1 + H_ff^-1 H_fk C H_kf
-        H_ff^-1. The factor `inflation` enlarges C. It enlarges H_ff^-1 only if frames are linked: without links, errors
-        in one frame are independent of errors in other frames.
+        H_ff^-1. H_ff and H_fk are the blocks of the normal matrix for frames (f) and kept unknowns (k). C includes the
+        factor `inflation`. H_ff^-1 includes it only if frames are linked: without links, errors in one frame are
+        independent of errors in other frames.
         """
         system = self.fixed_system(poses, floor)
         values, vectors = np.linalg.eigh(np.nan_to_num(system.covariance))
@@ -315,8 +320,8 @@ class Adjustment:
         return system.frames.covariances(system.reached(root), self.inflation**-2.0 if self.links is None else 1.0)
 
     def _update_share(self, poses: Poses, floor: float) -> None:
-        """Set `share`, the fraction of the sightings' squared errors that is expected to remain after the fit. It
-        changes only with links of motion or with a map as the prior (`Prior.joint`).
+        """Set `share`, the fraction of the sightings' squared errors that is expected to remain after the fit. The
+        fraction is constant, and not set, without links of motion and without a map as the prior (`Prior.joint`).
         """
         if self.links is not None or self.prior.joint is not None:
             here, there = (self.system(poses, floor, 0.0, weight).log_determinant for weight in (1.0, 1.0 + CHANGE))

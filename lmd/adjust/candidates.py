@@ -74,12 +74,12 @@ def single_poses(sightings: Sightings) -> SinglePoses:
 
 
 class Candidates:
-    """Candidate poses for *owners*: frames whose tags have poses, or tags whose frames have poses. Each sighting
-    belongs to one owner.
+    """Candidate poses for *owners*: either frames whose tags have poses, or tags whose frames have poses. A sighting
+    belongs to one owner, its frame or its tag.
 
     Args:
         some: the sightings with which candidates are compared.
-        poses: poses of the placed tags and frames, and of the cameras on the body (mounts).
+        poses: known poses of tags and frames, and poses of the cameras on the body (mounts).
         by_frame: True if owners are frames, False if they are tags.
     """
 
@@ -91,8 +91,8 @@ class Candidates:
         self._order, self._begins = np.argsort(self.owner, kind="stable"), np.cumsum(self.counts) - self.counts
 
     def _judges(self, owner: IntArray) -> tuple[Sightings, IntArray, Callable[[FloatArray], Reprojection]]:
-        """Prepare the comparison of P candidate poses with sightings. `owner` `(P,)` is the index of each candidate's
-        owner.
+        """Pair each of P candidate poses with all sightings of its owner (frame or tag). `owner` `(P,)` is the index of
+        each candidate's owner.
 
         Returns:
             the sightings of the owners, repeated for each candidate; for each of these sightings, the index of its
@@ -109,16 +109,16 @@ class Candidates:
         return some, pose, at
 
     def agreed(self, poses: FloatArray) -> FloatArray:
-        """Number of sightings that agree with the pose of their owner, for each of the M owners, `(M,)`. `poses`
-        `(M, 4, 4)` has one pose for each owner.
+        """Number of sightings of each owner (frame or tag) that agree with the owner's pose, `(M,)`. `poses`
+        `(M, 4, 4)` has one pose for each of the M owners.
         """
         some, pose, at = self._judges(np.arange(len(self.owners)))
         return np.asarray(np.bincount(pose, agreeing(some, at(poses).squared), minlength=len(self.owners)))
 
     def best(self, poses: FloatArray, owner: IntArray, count: int) -> IntArray:
-        """Choose, for each owner, the `count` candidate poses with the least robust losses. `poses` `(P, 4, 4)` are the
-        candidates of all owners, `owner` `(P,)` their owners. Returns indices of the candidates, sorted by owner, then
-        by loss.
+        """Choose, for each owner (frame or tag), the `count` candidate poses with the least robust losses. `poses`
+        `(P, 4, 4)` has the candidates of all owners, and `owner` `(P,)` the index of each candidate's owner. Returns
+        indices of the chosen candidates, sorted by owner, then by loss.
         """
         _, pose, at = self._judges(owner)
         losses = np.bincount(pose, np.log1p(at(poses).squared / (4.0 * NARROW**2)), minlength=len(poses))
@@ -126,9 +126,9 @@ class Candidates:
         return np.asarray(order[rank_within(owner[order]) < count])
 
     def proposals(self, single: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Candidate poses of all owners, `(P, 4, 4)`, and the owner of each candidate, `(P,)`. For each owner, the
-        sightings that are largest in the image propose poses; the best proposals are refined by Gauss-Newton steps with
-        robust losses of decreasing scale.
+        """Candidate poses of all owners (frames or tags), `(P, 4, 4)`, and the owner of each candidate, `(P,)`. For
+        each owner, the sightings that are largest in the image propose poses. The best of these poses are refined by
+        Gauss-Newton steps with robust losses of decreasing scale.
 
         Args:
             single: two poses of each sighting's tag in the frame of the camera, `(N, 2, 4, 4)`.
@@ -154,8 +154,8 @@ class Candidates:
 def place(
     some: Sightings, single: FloatArray, poses: Poses, by_frame: bool, fewest: int, share: float
 ) -> tuple[IntArray, FloatArray]:
-    """Estimate poses of frames from placed tags, or of tags from placed frames. The present poses of these frames or
-    tags are candidates as well.
+    """Estimate poses of frames from tags with poses, or of tags from frames with poses. The present poses of these
+    frames or tags are candidates as well.
 
     Args:
         some: sightings.
@@ -210,13 +210,13 @@ def rank_within(owner: IntArray) -> IntArray:
 
 
 def measured_mounts(views: FloatArray, mounts: FloatArray) -> FloatArray:
-    """Poses of the cameras on the body, `(C, 4, 4)`: measured if frames contradict the given pose, else as given. A
-    camera is measured from the frames in which both it and the first camera show tags.
+    """Poses of the cameras on the body, `(C, 4, 4)`: measured for a camera if images contradict its given pose, else as
+    given. A camera is measured from the frames in which both this camera and the first camera show tags.
 
     Args:
         views: pose of each camera in the world at each frame, estimated from the camera's own images, `(C, F, 4, 4)`;
             NaN if not known.
-        mounts: given poses of the cameras on the body, which is the first camera, `(C, 4, 4)`.
+        mounts: given poses of the cameras on the body, `(C, 4, 4)`; the first camera is the body.
     """
     found = mounts.copy()
     for camera in range(1, len(mounts)):

@@ -63,7 +63,7 @@ class Poses:
 
 
 class Reprojection:
-    """Residuals of sightings at some poses, and the residuals' Jacobians with respect to body-frame twists: X -> X
+    """Residuals of sightings at given poses, and their Jacobians with respect to twists of the poses: X -> X
     exp(twist).
 
     Args:
@@ -165,30 +165,33 @@ def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
 
 
 def student_weight(square: FloatArray, residuals: int | IntArray = RESIDUALS) -> FloatArray:
-    """Robust weights (nu + d) / (nu + chi^2), for chi^2 `square` of d `residuals`. Here nu is the constant
-    `DEGREES_OF_FREEDOM`.
+    """Robust weights (nu + d) / (nu + chi^2) for values `square` of chi^2. Each chi^2 has d `residuals`, and nu is the
+    constant `DEGREES_OF_FREEDOM`.
     """
     return np.asarray((DEGREES_OF_FREEDOM + residuals) / (DEGREES_OF_FREEDOM + square))
 
 
 def student_losses(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
-    """Robust losses 0.5 (nu + d) log(1 + chi^2 / nu), for chi^2 `square` of d `residuals`. Here nu is the constant
-    `DEGREES_OF_FREEDOM`.
+    """Robust losses 0.5 (nu + d) log(1 + chi^2 / nu) for values `square` of chi^2. Each chi^2 has d `residuals`, and nu
+    is the constant `DEGREES_OF_FREEDOM`.
     """
     return np.asarray((DEGREES_OF_FREEDOM + residuals) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM))
 
 
 def student_loss(square: FloatArray, residuals: int = RESIDUALS) -> float:
-    """Sum of the robust losses 0.5 (nu + d) log(1 + chi^2 / nu), see `student_losses`."""
+    """Sum of the robust losses 0.5 (nu + d) log(1 + chi^2 / nu) over all values `square` of chi^2, see
+    `student_losses`.
+    """
     return float(student_losses(square, residuals).sum())
 
 
 def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
-    """Find the floor (standard deviation of corners in addition to the detector's own), pixels, at which the squared
-    errors have their expected mean.
+    """Find the floor, pixels, at which the weighted mean of chi^2 equals its expected value for normal errors. The
+    floor is the standard deviation of corners in addition to the detector's own.
 
     Args:
-        error: squared errors |e|^2 of sightings, scaled up for the degrees of freedom of the fit, pixels^2, `(N,)`.
+        error: squared errors |e|^2 of sightings, divided by the fraction that is expected to remain after a fit,
+            pixels^2, `(N,)`.
         noise: standard deviation of a coordinate of a corner according to the detector, pixels, `(N,)`.
         most: upper limit of the floor, pixels.
     """
@@ -203,11 +206,11 @@ def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
 
 
 def efficiency(square: FloatArray) -> tuple[float, float]:
-    """The two factors by which robust weights change the covariance (sandwich formula): mean slope of the robust
-    estimating equations, and variance of their right side. `square` `(N,)` has chi^2 of N sightings.
+    """Two numbers, slope and variance, that give the covariance of a fit with robust weights (sandwich formula).
+    `square` `(N,)` has chi^2 of N sightings.
 
     With weights w(chi^2), the slope is the mean of w + 2 w' chi^2 / 8, and the variance is the mean of w^2 chi^2 / 8.
-    Least squares that give all sightings the weight slope^2 / variance have the covariance of the robust fit.
+    Least squares in which all sightings have the weight slope^2 / variance have the covariance of the robust fit.
     """
     weight = student_weight(square)
     slope = (weight - 2.0 / RESIDUALS * square * weight / (DEGREES_OF_FREEDOM + square)).mean()

@@ -1,19 +1,19 @@
-"""Motion of a body, estimated from its drive: noise of the motion model, and smoothest sequence of poses.
+"""Motion of a body, estimated from a drive: noise of the motion model, and smoothest sequence of poses.
 
-The noise of a motion model is its *spread* s, which scales the standard deviations of the model. The spread is
-estimated by maximum evidence. With theta = log s^2,
+A motion model predicts the relative pose of linked frames. Its noise is described by the *spread* s, a factor on the
+standard deviations of the model. The spread is estimated by maximum evidence. With theta = log s^2,
 
     d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0.
 
 Here chi^2 is that of the links' errors, Q is the covariance of these errors, and H is the normal matrix of all
 unknowns. The prior of s has the weight of `ASSUMED_LINKS` links.
 
-Errors of the constant-velocity model across gaps are measured in pieces of the drive without gaps. For two frames that
-are as far apart as the gap is long, the velocities before and after predict the relative pose. The error is the
-difference between this prediction and the relative pose that the frames in between give.
+Errors of the constant-velocity model across gaps between frames are measured where the drive has no gaps. Two frames
+are taken that are as far apart as the gap is long. The velocities before the first and after the second predict their
+relative pose. The error is the difference between this prediction and the estimated relative pose.
 
-A frame that shows one tag has two poses with similar images; of these, the pose that makes the sequence of poses
-smoothest is taken (Viterbi).
+A frame that shows one tag has two poses with similar images. The pose that makes the sequence of poses smoothest is
+taken (Viterbi).
 
 Source: MacKay, "Bayesian Interpolation".
 """
@@ -45,7 +45,9 @@ ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
 
 
 def with_motion(joint: Adjustment, motion: Motion) -> Adjustment:
-    """Copy of the adjustment `joint` with the motion model `motion`; the pairs of linked frames do not change."""
+    """Copy of the adjustment `joint` with the motion model `motion`. The model links the pairs of frames that were
+    linked before.
+    """
     assert joint.links is not None
     other, first = copy(joint), joint.links.first
     information = motion.information(joint.seen[first], joint.seen[first + 1])
@@ -65,8 +67,8 @@ def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
     error, size = links.at(poses.frames[joint.seen]).error, links.size
 
     def evidence(motion: Motion) -> FloatArray:
-        """Terms of the evidence for a motion model, `(3,)`. The first is chi^2 of the links between frames. The others
-        are log |Q| for the covariance Q of the links' errors, and log |H| for the normal matrix H of the adjustment.
+        """Three terms of the evidence for a motion model, `(3,)`: chi^2 of the links between frames, log |Q| and log
+        |H|. Q is the covariance of the links' errors, and H the normal matrix of the adjustment.
         """
         tried = joint if motion is joint.prior.motion else with_motion(joint, motion)
         assert tried.links is not None
@@ -92,8 +94,8 @@ def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
-    """Motion model of the adjustment `joint` with the noise level (spread) that maximises the evidence. For a constant
-    velocity, the model also gets the measured errors across gaps between frames.
+    """Motion model of the adjustment `joint` with the noise level (spread) that maximises the evidence. A
+    constant-velocity model also gets its measured errors across gaps between frames (`Motion.gaps`).
 
     Raises:
         InputError: odometry contradicts the images.
@@ -108,14 +110,14 @@ def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def with_rough_clock(motion: Motion, frames: IntArray, part: IntArray, poses: FloatArray) -> Motion:
-    """Copy of `motion` with the offset of the odometry's clock at which the odometry fits rough poses best. The motion
-    is returned unchanged if it is a constant velocity, or if the best offset is not significant.
+    """Copy of `motion` with the offset of the odometry's clock at which the odometry fits rough poses best. `motion`
+    itself is returned if it has no odometry, or if the best offset is not significant.
 
     Args:
         motion: motion between all frames.
         frames: indices of n frames, `(n,)`.
-        part: index of the part (group of tags) to which each of these frames belongs, `(n,)`; only frames of one part
-            share a world frame.
+        part: index of the group of tags (part) that each of these frames shows, `(n,)`; frames with equal indices share
+            a world frame.
         poses: rough poses of these frames, `(n, 4, 4)`.
     """
     if motion.odometry is None:
@@ -135,22 +137,25 @@ def with_rough_clock(motion: Motion, frames: IntArray, part: IntArray, poses: Fl
 
 
 def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
-    """Measure the noise level (spread) of the constant-velocity model across gaps between frames. The measurement is
-    repeated for several lengths of gap.
+    """Measure the noise level (spread) of the constant-velocity model across gaps, for several lengths of gap.
 
     Args:
-        motion: motion model of constant velocity, whose frames are divided into pieces (`Motion.piece`).
+        motion: motion model of constant velocity; `Motion.piece` has the index of the piece of the drive to which each
+            frame belongs.
         poses: poses of the frames, `(F, 4, 4)`; frames of one piece are contiguous and share a world frame.
 
     Returns:
-        rows of length of gap, seconds, spread of rotation and spread of translation, `(n, 3)`, see `Motion.gaps`.
+        one row for each length, `(n, 3)`: length of the gap, seconds; spread of rotation; spread of translation; see
+        `Motion.gaps`.
     """
     assert motion.piece is not None
     rows, clock = [], motion.times - np.nanmin(motion.times)
     clock = clock + motion.piece * (np.nanmax(clock) + 10.0 * LONGEST_GAP)
 
     def nearest(seconds: FloatArray) -> IntArray:
-        """For each of the times `seconds`, index of the frame whose time in `clock` is nearest."""
+        """For each of the times `seconds`, index of the frame with the nearest time. Times are those of `clock`, in
+        which pieces of the drive lie far apart.
+        """
         after = np.clip(np.searchsorted(clock, seconds), 1, len(clock) - 1)
         return np.asarray(after - (seconds - clock[after - 1] < clock[after] - seconds))
 
@@ -175,8 +180,8 @@ def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes, sorted by part, then by time. A node is a pair of a frame and a part (a group of tags, see
-    `lmd.survey.groups`) some of whose tags the frame shows.
+    """Nodes, sorted by part, then by time. A part is a group of tags, see `lmd.survey.groups`. A node is a pair of a
+    frame and a part; the frame shows tags of this part.
     """
 
     sightings: Sightings
@@ -190,7 +195,9 @@ class Nodes:
 
     @classmethod
     def of(cls, sightings: Sightings, part: IntArray, motion: Motion) -> "Nodes":
-        """Make the nodes of all sightings; `part` is the index of each tag's part, `(K,)`."""
+        """Make the nodes of all sightings. `part` `(K,)` is the index of the part (group of tags) to which each tag
+        belongs.
+        """
         key, node = np.unique(part[sightings.tag] * sightings.frames + sightings.frame, return_inverse=True)
         order = np.argsort(node, kind="stable")
         own, frame = np.divmod(key, sightings.frames)
@@ -198,8 +205,8 @@ class Nodes:
         return cls(some, frame, own, motion.of(frame, own))
 
     def following(self, count: int) -> tuple[IntArray, IntArray]:
-        """Indices of the first and of the second node of pairs: each node is paired with each of the `count` nodes that
-        follow it in time, in any part.
+        """Pair each node with each of the `count` nodes that follow it in time, in any part. Returns the indices of the
+        first node of each pair, and those of the second.
         """
         order = np.lexsort((self.part, self.frame))
         ends = [np.stack([order[:-k], order[k:]]) for k in range(1, min(count, len(order) - 1) + 1)]
@@ -208,9 +215,11 @@ class Nodes:
 
 
 def smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Copy of `poses` with one pose for each node instead of each frame, in the world frame of the node's part. A node
-    keeps its rough pose if several of its sightings agree with that pose. Otherwise its largest sighting in the image
-    proposes two poses; the one that makes the sequence of nodes smoothest is taken.
+    """Copy of `poses` with poses of nodes in place of the poses of frames. A node is a pair of a frame and a part (a
+    group of tags); its pose is in the world frame of the part.
+
+    A node keeps its rough pose if several of its sightings agree with that pose. Otherwise the sighting that is largest
+    in the image proposes two poses. Of these, the pose that makes the sequence of nodes smoothest is taken.
     """
     some, motion, placed = nodes.sightings, nodes.motion, poses.frames[nodes.frame]
     order = np.lexsort((-some.sizes, some.frame))

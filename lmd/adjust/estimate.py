@@ -1,12 +1,13 @@
-"""Estimate of poses from initial poses: bundle adjustment without outliers, covariances, and errors correlated in time.
+"""Estimated poses and their covariances, from a bundle adjustment that leaves out outliers.
 
-*Blocks of time*: the covariance C of an adjustment assumes that errors of sightings are independent. The errors in a
-drive are correlated, as exposure, blur and errors of the lens model change slowly. So the frames are divided into
-blocks of time with equal numbers of sightings. Block b adds S_b to the normal matrix S = C^-1, and g_b to the right
-side; at the solution the sum of all g_b is 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error of the map.
-The covariance of the map is the sum of x_b x_b', which equals C if errors are uncorrelated. With the inverse in place
-of the inverse root, this would be the jackknife, which leaves out one block at a time. The jackknife overestimates the
-effect of a block that alone determines a part of the map.
+*Errors correlated in time*: the covariance C of an adjustment assumes that errors of sightings are independent. The
+errors in a drive are correlated, as exposure, blur and errors of the lens model change slowly. So the frames are
+divided into blocks of time with equal numbers of sightings. Block b adds S_b to the normal matrix S = C^-1, and g_b to
+the right side; at the solution the sum of all g_b is 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error
+of the map. The covariance of the map is the sum of x_b x_b' over all blocks. It equals C if errors are uncorrelated.
+
+With the inverse in place of the inverse root, this would be the jackknife, which leaves out one block at a time. The
+jackknife overestimates the effect of a block that alone determines a part of the map.
 
 Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples" (CR2).
 """
@@ -42,7 +43,9 @@ LEAST_PART = 1e-9  # minimum eigenvalue of a block's information, relative to th
 
 @dataclass(frozen=True)
 class Lenses:
-    """Nuisance parameters of the cameras: intrinsics and shifts of corners, see `lmd.adjust.refinement`."""
+    """Nuisance parameters of the cameras: intrinsics, and the shifts by which blur and exposure move corners. See
+    `lmd.adjust.refinement`.
+    """
 
     seen: Observations
     """Detections, with the cameras as given before the refinement."""
@@ -90,7 +93,8 @@ class Estimate:
     """Offset of the odometry's clock; None without odometry."""
 
     def adjusted(self, most: float = FLOOR_PIXELS) -> "Estimate":
-        """Estimate in which the poses of the map (tags of group 0, and their frames) are adjusted without the outliers.
+        """Estimate in which the poses of the map are adjusted without the outliers. The map consists of the tags of
+        group 0 (see `group`) and the frames that show them.
 
         Args:
             most: upper limit, pixels, of the floor, the standard deviation of corners in addition to the detector's
@@ -128,13 +132,13 @@ class Estimate:
 
     @property
     def adjustment(self) -> Adjustment:
-        """Bundle adjustment of the inliers, with nuisance parameters as unknowns."""
+        """Bundle adjustment of the inliers. Its unknowns include intrinsics, shifts of corners and shapes of tags."""
         return Adjustment(self.sightings.of(self.used), self.prior, True, self.inflation)
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Covariance of the unknowns that `Adjustment` keeps, which are all but the frames' poses. The error of a pose
-        is a twist in the coordinate frame of the tag or camera itself.
+        """Covariance of all unknowns but the frames' poses; `Adjustment` gives their order. The error of a pose is a
+        twist in the coordinate frame of the tag or camera itself.
         """
         with threadpool_limits(limits=ONE_THREAD):
             return self.adjustment.fixed_system(self.poses, self.floor).covariance
@@ -146,8 +150,8 @@ class Estimate:
         return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
 
     def _blocks(self, first: int, last: int, size: int = 6) -> FloatArray:
-        """Diagonal blocks, `(n, size, size)`, of the covariance of the kept unknowns. Only the part of the covariance
-        from the block of six unknowns with the index `first` to that with the index `last` (excluded) is used.
+        """Square blocks on the diagonal of `covariance`, `(n, size, size)`. They cover the blocks of six unknowns from
+        the index `first` to the index `last` (excluded).
         """
         return diagonal_blocks(self.covariance[6 * first : 6 * last, 6 * first : 6 * last], size)
 
@@ -169,7 +173,7 @@ class Estimate:
     @cached_property
     def gauge_free_covariance(self) -> FloatArray:
         """Covariance of the twists of the n `known` tags relative to each other, `(6 n, 6 n)`. A common motion of all
-        tags does not count, see `gauge_free`.
+        tags is removed, see `gauge_free`.
         """
         rows = rows_of(np.flatnonzero(self.known))
         left = gauge_free(self.poses.tags[self.known])
@@ -177,8 +181,8 @@ class Estimate:
 
     @cached_property
     def gauge_free_covariances(self) -> FloatArray:
-        """Covariance of the twist of each tag relative to the other tags, `(K, 6, 6)`. A common motion of all tags does
-        not count, see `gauge_free`. NaN for tags that are not `known`.
+        """Covariance of the twist of each tag relative to the other tags, `(K, 6, 6)`. A common motion of all tags is
+        removed, see `gauge_free`. NaN for tags that are not `known`.
         """
         known, found = self.known, np.full((len(self.group), 6, 6), np.nan)
         found[known] = diagonal_blocks(self.gauge_free_covariance)
@@ -193,7 +197,7 @@ class Estimate:
 
     @property
     def calibrated(self) -> tuple[Calibrated, ...]:
-        """Refined cameras with their covariances; empty if cameras are exact."""
+        """Refined cameras with their covariances; empty if cameras are not refined, or if there are no inliers."""
         if self.lenses is None or not self.used.any():
             return ()
         lenses, joint = self.lenses, self.adjustment
@@ -250,10 +254,10 @@ def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArr
 
 def inflation(found: Estimate) -> float:
     """Factor, at least 1, by which errors that are correlated in time enlarge the standard deviations of the tags'
-    positions. The factor is computed from blocks of time, as the geometric mean of the factors of single tags.
+    positions. It is the geometric mean of the factors of single tags, which are computed from blocks of time.
 
-    The factor is 1 if there are too few frames for blocks. If frames are linked, only frames with two or more tags are
-    used, in the largest part of the map that such frames connect.
+    The factor is 1 if there are too few frames for blocks. If motion links frames, only frames with two or more tags
+    are used. Such frames may connect the map only in parts; the largest part is then used.
 
     Args:
         found: estimate with an inflation of 1.
@@ -281,8 +285,8 @@ def _blocks_of_time(found: Estimate) -> list[IntArray]:
 
 
 def _without_links(found: Estimate) -> Estimate:
-    """Estimate of the largest part of the map that images connect without the links of motion. Other tags get the group
-    -1.
+    """Estimate of the largest part of the map that images alone connect, without the links of motion. The other tags
+    get the group -1, as if they had no pose.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -302,8 +306,8 @@ def _without_links(found: Estimate) -> Estimate:
 
 
 def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> FloatArray:
-    """Contribution x_b of one block of time to the error of each known tag's position relative to the other tags,
-    metres, `(n, 3)`.
+    """Contribution of one block of time to the error of each tag's position relative to the other tags, metres,
+    `(n, 3)`. It is x_b in the formulas of this module, for the n tags with a covariance.
 
     Args:
         found: estimate.

@@ -2,10 +2,10 @@
 
 *Second poses* are poses on which several outliers of a tag agree: the tag was moved, or two tags have its id.
 
-*Sizes* follow from images that show two tags, as the distance between the tags is constant. Let s be the true ratio of
-the edge lengths of tags b and a, divided by the stated ratio. Let t_a and t_b be the tags' centres in a camera's frame,
-computed with the stated edges. Then |s t_b - t_a| is constant over images from different places. The ratios of all
-pairs give the size of each tag relative to most others.
+*Sizes* follow from images that show two tags a and b, as the distance between the tags is constant. Let t_a and t_b be
+the tags' centres in a camera's frame, computed with the stated edge lengths. Let s be the true edge length of b over
+that of a, divided by the stated ratio. Then |s t_b - t_a| is constant over images from different places. The ratios of
+all pairs give the size of each tag relative to most others.
 """
 
 from collections.abc import Callable, Iterator
@@ -69,8 +69,8 @@ class Faults(NamedTuple):
 
 
 def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
-    """Second poses of tags: poses on which several outliers of a tag agree. `gross` is the mask of all outliers,
-    `(N,)`.
+    """Second poses of tags: poses on which several outliers of a tag agree. `gross` `(N,)` is the mask of the outliers
+    to be considered.
     """
     every, counts, places = found.sightings, found.sightings.counts(gross), []
     some = every.of(np.flatnonzero(gross & (counts[every.tag] >= FEWEST_SIGHTINGS)))
@@ -112,8 +112,9 @@ def with_best_edges(
         plan: `(K, 3)` positions of the tags in a map, metres, NaN if unknown; None without a map.
 
     Returns:
-        the result with which clearly more sightings agree, that with the stated lengths if in doubt; mask of the tags
-        whose size must be estimated from all frames, see `odd_sizes`, `(K,)`; all False with the stated lengths.
+        the result with the estimated lengths if clearly more sightings agree with it, else the result with the stated
+        lengths; mask of the tags whose size must be estimated from all frames, see `odd_sizes`, `(K,)`. The mask is all
+        False with the stated lengths.
     """
     (found, agreed), (factors, odd) = begun(seen), odd_sizes(seen.through().with_separate_cameras(), plan)
     if odd.any():
@@ -127,8 +128,7 @@ def odd_sizes(sightings: Sightings, plan: FloatArray | None = None) -> tuple[Flo
     """Find tags whose stated edge length is grossly wrong.
 
     Args:
-        sightings: sightings in which each camera is treated as a body of its own, see
-            `Sightings.with_separate_cameras`.
+        sightings: sightings in which each camera is treated as a separate body, see `Sightings.with_separate_cameras`.
         plan: `(K, 3)` positions of the tags in a map, metres, NaN if unknown; None without a map.
 
     Returns:
@@ -171,7 +171,7 @@ def _losses(one: FloatArray, two: FloatArray, expected: float | None) -> FloatAr
 
 
 def _planned_sizes(sightings: Sightings, plan: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Factors on edge lengths with which the measured distances between tags fit the distances in a map best.
+    """Find the factors on edge lengths with which measured distances between tags fit the distances in a map best.
 
     For each pair of tags, a factor is tried on one tag alone and on both tags.
 
@@ -226,14 +226,14 @@ def _relative_sizes(sightings: Sightings) -> tuple[FloatArray, BoolArray]:
 
 
 def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> tuple[Estimate, BoolArray]:
-    """Make the sizes of tags unknowns of the refinement.
+    """Copy of the estimate in which the sizes of tags are unknowns of the refinement.
 
     Args:
         found: estimate with the stated sizes.
         odd: mask of the tags whose stated size is wrong or in doubt, `(K,)`.
-        others: prior standard deviation of the growth of the other tags, metres; NaN for that of their other
-            deformations, see `Sightings.size_sigmas`.
-        tried: True to test the stated sizes of all other tags as well.
+        others: prior standard deviation of the growth (change of size) of the other tags, metres. NaN for the standard
+            deviation of their other deformations, see `Sightings.size_sigmas`.
+        tried: True to test the stated sizes of all other tags first.
 
     Returns:
         the estimate; mask of the tags in `odd` and of the tags whose size proved to be wrong, `(K,)`.
@@ -263,8 +263,8 @@ def resized(found: Estimate, odd: BoolArray, among: BoolArray) -> tuple[Estimate
 
     Args:
         found: estimate.
-        odd: mask of the tags whose stated size is known to be wrong, `(K,)`; the edge lengths of these tags are
-            estimated even if they hardly change.
+        odd: mask of the tags whose stated size is known to be wrong, `(K,)`; their edge lengths are corrected even if
+            they differ little from the stated lengths.
         among: mask of the tags whose stated size may be wrong, `(K,)`.
     """
     every, tags, count = found.sightings, found.poses.tags.copy(), len(found.group)

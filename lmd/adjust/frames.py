@@ -21,7 +21,9 @@ COLUMNS = 512  # number of columns of the kept unknowns that are processed toget
 
 
 class Part(NamedTuple):
-    """Normal equations of f successive frames: diagonal blocks, and blocks that couple the frames to kept unknowns."""
+    """Normal equations of f successive frames: the frames' own blocks, and the blocks that couple frames and kept
+    unknowns. The kept unknowns are all but the frames' poses.
+    """
 
     block: FloatArray
     """Blocks of H_ff due to the sightings, `(f, 6, 6)`."""
@@ -33,8 +35,9 @@ class Part(NamedTuple):
     """Indices of these r blocks, `(r,)`."""
 
     def reached(self, kept: FloatArray) -> FloatArray:
-        """Product H_fk x, `(f, 6, ...)`, for values x of all kept unknowns, `kept` `(kept, 6, ...)`. H_fk is the block
-        of the normal matrix that couples these f frames to the kept unknowns.
+        """Product H_fk x, `(f, 6, ...)`, by which the kept unknowns x enter the equations of these f frames. H_fk is
+        the block of the normal matrix with the rows of these frames and the columns of the kept unknowns. x is `kept`
+        `(kept, 6, ...)`.
         """
         some = kept[self.rows]
         wide = self.panel.reshape(-1, 6 * len(self.rows)) @ some.reshape(6 * len(self.rows), -1)
@@ -42,7 +45,7 @@ class Part(NamedTuple):
 
 
 class SeparateFrames:
-    """Frames that are independent of each other; `parts` has the normal equations of the frames."""
+    """Frames that are independent of each other. `parts` has their normal equations, in pieces of successive frames."""
 
     def __init__(self, parts: list[Part]) -> None:
         self.parts = parts
@@ -51,8 +54,9 @@ class SeparateFrames:
         self.gradient = np.concatenate([part.gradient for part in parts])
 
     def eliminate(self, matrix: FloatArray, right: FloatArray) -> None:
-        """Eliminate the frames from the equations of the kept unknowns, which change in place. H_kf H_ff^-1 H_fk is
-        subtracted from `matrix` `(6 kept, 6 kept)`, and H_kf H_ff^-1 g_f from `right` `(kept, 6)`.
+        """Eliminate the frames (f) from the normal equations of the kept unknowns (k), in place. H_kf H_ff^-1 H_fk is
+        subtracted from `matrix` `(6 kept, 6 kept)`, and H_kf H_ff^-1 g_f from `right` `(kept, 6)`. H is the normal
+        matrix, and g its right side.
         """
         ends = np.cumsum([len(part.block) for part in self.parts])
         for part, block in zip(self.parts, np.split(self.block, ends[:-1]), strict=True):
@@ -65,14 +69,15 @@ class SeparateFrames:
             right[part.rows] -= (wide @ solved(lower, part.gradient).ravel()).reshape(-1, 6)
 
     def steps(self, pull: FloatArray) -> FloatArray:
-        """Twists x of the frames, `(F, 6)`, that solve H_ff x = g_f - pull. `pull` `(F, 6)` is the product of H_fk and
-        the step of the kept unknowns.
+        """Steps x of the frames, `(F, 6)`: twists that solve H_ff x = g_f - pull. H_ff is the frames' normal matrix,
+        and g_f its right side. `pull` `(F, 6)` is the product of H_fk and the step of the kept unknowns.
         """
         return solved(self.block, self.gradient - pull)
 
     def covariances(self, reach: FloatArray, share: float) -> FloatArray:
-        """Covariances of the frames, `(F, 6, 6)`. They are the diagonal blocks of s H_ff^-1 + H_ff^-1 R R^T H_ff^-1,
-        where s is `share` and R is `reach` `(F, 6, m)`.
+        """Covariances of the frames, `(F, 6, 6)`: the diagonal blocks of s H_ff^-1 + H_ff^-1 R R^T H_ff^-1. H_ff is the
+        frames' normal matrix, and s is `share`. R is `reach` `(F, 6, m)`, where R R^T = H_fk C H_kf for the covariance
+        C of the kept unknowns.
         """
         moved = np.linalg.solve(self.block, reach)
         return np.asarray(share * np.linalg.inv(self.block) + moved @ np.swapaxes(moved, 1, 2))
@@ -87,11 +92,11 @@ class LinkedFrames:
     """F frames that are connected by links of motion; the class has the methods of `SeparateFrames`.
 
     Args:
-        parts: equations of the frames due to the sightings.
+        parts: normal equations of the frames, from the sightings alone.
         links: the links.
         poses: poses of the frames, `(F, 4, 4)`.
         is_robust: True for robust weights of the links.
-        kept: equations of the kept unknowns, to which those of the bias of odometry are added.
+        kept: normal equations of the kept unknowns; the terms of the bias of odometry are added to them.
         bias: index of the bias of odometry among the blocks of kept unknowns.
     """
 

@@ -1,6 +1,4 @@
-"""The gauge of a map, that is, the choice of its world frame: covariances that do not depend on the gauge, and
-alignment of one map with another.
-"""
+"""Covariances of a map that do not depend on the choice of its world frame (the *gauge*), and alignment of maps."""
 
 import numpy as np
 
@@ -20,19 +18,19 @@ def rows_of(tags: IntArray) -> IntArray:
 
 
 def diagonal_blocks(covariance: FloatArray, size: int = 6) -> FloatArray:
-    """The n square blocks on the diagonal of a matrix, `(n, size, size)`."""
+    """Square blocks on the diagonal of the matrix `covariance` `(n size, n size)`, as an array `(n, size, size)`."""
     count = len(covariance) // size
     each = np.arange(count)
     return np.asarray(covariance.reshape(count, size, count, size)[each, :, each])
 
 
 def gauge_free(tags: FloatArray) -> FloatArray:
-    """Matrix L `(6 n, 6 n)` that removes the best-fitting motion of the whole map from the twists of n tags.
+    """Matrix L `(6 n, 6 n)` that removes the common motion of all tags from the twists of n tags.
 
     Let x `(6 n,)` be the twists of all tags, and T `(6 n, 6)` their derivative with respect to a motion of the world.
     T_p and x_p are the rows of T and x that belong to the tags' centres. The motion that fits x best is g = T_p^+ x_p,
-    so L x = x - T g. If P is the covariance of the twists, L P L^T is the covariance of the tags relative to each
-    other.
+    with the pseudoinverse T_p^+, so L x = x - T g. If P is the covariance of the twists, L P L^T is the covariance of
+    the tags relative to each other.
 
     Args:
         tags: poses of the tags, `(n, 4, 4)`.
@@ -59,8 +57,8 @@ def in_world(poses: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def world_from_twists(poses: FloatArray) -> FloatArray:
-    """Matrices that convert twists in the frames of poses, X -> X exp(twist), to shifts along and rotations about the
-    axes of the world, `(n, 6, 6)`.
+    """Matrices `(n, 6, 6)` that convert twists of poses to shifts along, then rotations about, the axes of the world. A
+    twist is in the frame of its pose: X -> X exp(twist).
     """
     whole = np.zeros((len(poses), 6, 6))
     whole[:, :3, 3:] = whole[:, 3:, :3] = poses[:, :3, :3]
@@ -68,8 +66,8 @@ def world_from_twists(poses: FloatArray) -> FloatArray:
 
 
 def worst_sigmas(covariances: FloatArray) -> FloatArray:
-    """Standard deviations of the shift, metres, and of the rotation, rad, each in its worst direction, `(n, 2)`, from
-    the `covariances` of twists, `(n, 6, 6)`; NaN where a covariance is NaN.
+    """Standard deviations of shift, metres, and rotation, rad, each in its worst direction, `(n, 2)`. `covariances`
+    `(n, 6, 6)` are those of twists. The result is NaN where a covariance is NaN.
     """
     found, known = np.full((len(covariances), 2), np.nan), np.isfinite(covariances).all(axis=(1, 2))
     for column, part in enumerate((slice(3, 6), slice(0, 3))):
@@ -79,19 +77,20 @@ def worst_sigmas(covariances: FloatArray) -> FloatArray:
 
 
 def twists_between(here: FloatArray, there: FloatArray) -> FloatArray:
-    """Twists that lead from the poses `here` to the poses `there`, `(n, 6)`; NaN where one pose is not known."""
+    """Twists log(here^-1 there) from the poses `here` to the poses `there`, `(n, 6)`; NaN where a pose is unknown."""
     twists, known = np.full((len(here), 6), np.nan), np.isfinite(here[:, 0, 0]) & np.isfinite(there[:, 0, 0])
     twists[known] = log(inverse(here[known]) @ there[known])
     return twists
 
 
 def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
-    """Rigid motion that aligns the centres and normals of tags with those in another world, by a robust fit.
+    """Rigid motion that moves tags from one world to another, by a robust fit of their centres and normals.
 
     Pairs of tags propose motions. The motion with the least loss is refined by reweighted least squares over all tags.
 
     Args:
-        here, there: poses of K tags in two worlds, `(K, 4, 4)`; rotations about the normals do not matter.
+        here, there: poses of K tags in the first and in the second world, `(K, 4, 4)`; rotations about the normals do
+            not matter.
 
     Returns:
         rigid motion, `(4, 4)`; None if the tags determine no rotation.
@@ -105,8 +104,8 @@ def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
         return None
 
     def squares(motion: FloatArray) -> FloatArray:
-        """Squared difference of each tag's two poses after a motion, `(K,)`: the sum of (distance of the centres /
-        `PLACE_SCALE`)^2 and (angle between the normals / `NORMAL_SCALE`)^2.
+        """Squared difference between each tag's pose in `here`, moved by `motion`, and its pose in `there`, `(K,)`. It
+        is the sum of (distance of the centres / `PLACE_SCALE`)^2 and (angle between the normals / `NORMAL_SCALE`)^2.
         """
         moved = motion @ here
         away = np.linalg.norm(moved[:, :3, 3] - there[:, :3, 3], axis=1) / PLACE_SCALE

@@ -1,4 +1,4 @@
-"""Intrinsics of cameras and shifts of corners as unknowns: priors, derivatives, estimates and their uncertainty."""
+"""Intrinsics of cameras, and shifts of corners by blur, as unknowns: priors, derivatives, estimates and uncertainty."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,7 +25,7 @@ GRID_SIDE = 9  # number of places along each side of the image at which `unsure`
 
 @dataclass(frozen=True)
 class Optics:
-    """Camera, and the shift by which blur and exposure move the edges of tags in its images."""
+    """Camera, and the two parameters of the shift by which blur and exposure move the edges of tags in its images."""
 
     camera: Camera
     """The camera."""
@@ -34,11 +34,12 @@ class Optics:
 
     @property
     def values(self) -> FloatArray:
-        """Intrinsics and shifts, `(P + 2,)`."""
+        """P intrinsics of the camera, followed by the two parameters of the shift of edges, `(P + 2,)`."""
         return np.append(intrinsics_of(self.camera), self.shifts)
 
     def at(self, values: FloatArray) -> "Optics":
-        """Copy with other intrinsics and shifts, `values` `(P + 2,)`, in the order of the property `values`.
+        """Copy with other parameters. `values` `(P + 2,)` has the P intrinsics of the camera, followed by the two
+        parameters of the shift by which blur moves the edges of tags.
 
         Raises:
             InputError: no camera has these intrinsics.
@@ -62,18 +63,18 @@ class Calibrated:
 
     @property
     def sigma(self) -> FloatArray:
-        """Standard deviations of `intrinsics_of(found)`, `(P,)`."""
+        """Standard deviations of the P intrinsics of the camera `found`, `(P,)`; `intrinsics_of` gives their order."""
         return np.sqrt(np.diag(self.covariance))[: len(intrinsics_of(self.found))]
 
     @property
     def shift_sigma(self) -> float:
-        """Standard deviation of `shift`, pixels."""
+        """Standard deviation of `shift`, the shift of corners inward, pixels."""
         return float(np.sqrt(np.diag(self.covariance))[len(self.sigma)])
 
     @cached_property
     def unsure(self) -> float:
-        """Standard deviation of image points due to the intrinsics' uncertainty, as a median over the image, pixels.
-        Displacements that a rotation of the camera could explain do not count.
+        """Standard deviation of image points due to the uncertainty of the intrinsics: the median over the image,
+        pixels. Displacements that a rotation of the camera could explain do not count.
         """
         size, bundle = len(self.sigma), _bundle(self.found)
         moved = parameter_slopes(self.found, bundle).reshape(-1, size)
@@ -83,7 +84,9 @@ class Calibrated:
         return float(np.sqrt(np.median(square)))
 
     def document(self) -> dict[str, Any]:
-        """Entries for a JSON file; principal points are in pixels from the outer corner of the top left pixel."""
+        """Given and estimated intrinsics and standard deviations, as entries of a JSON file. Principal points are in
+        pixels from the outer corner of the top left pixel.
+        """
         rows = {"given": intrinsics_of(self.given), "found": intrinsics_of(self.found), "sigma": self.sigma}
         names = {"focal_pixels": slice(2), "principal_point": slice(2, 4), "distortion": slice(4, None)}
         figures = {row: {name: values[part].tolist() for name, part in names.items()} for row, values in rows.items()}
@@ -143,8 +146,8 @@ def prior_sigmas(camera: Camera, rough: bool = False) -> FloatArray:
 
 
 def _bundle(camera: Camera) -> FloatArray:
-    """Directions of the rays through a grid of image points, `(n, 3)`; image points to which the lens maps no ray are
-    left out.
+    """Directions of the rays through the points of a regular grid on the image, `(n, 3)`. Points to which the lens maps
+    no ray are left out.
     """
     places = np.linspace(0.0, 1.0, GRID_SIDE)
     image = np.stack(np.meshgrid(places * camera.image_width, places * camera.image_height), axis=-1)

@@ -25,7 +25,9 @@ MOST_OFF, MOST_BIAS = 0.5, 8.0
 
 
 class LinkErrors(NamedTuple):
-    """Errors of M links, with r components each, and their Jacobians with respect to the b unknowns of each frame."""
+    """Errors of M links between consecutive frames, and the errors' Jacobians. An error has r components, and a frame
+    has b unknowns.
+    """
 
     error: FloatArray
     """`(M, r)` errors."""
@@ -90,8 +92,8 @@ class Links:
         return LinkErrors(np.concatenate([off, change], axis=1), by_first, by_second, nothing, np.zeros(0))
 
     def _ways(self, poses: FloatArray) -> FloatArray:
-        """Motion from the first to the second frame of each link: rotation vector, rad, and shift along the world's
-        axes, metres, `(M, 6)`.
+        """Relative motion of the two frames of each link, `(M, 6)`: rotation vector, rad, then shift along the world's
+        axes, metres.
         """
         before, after = poses[self.first], poses[self.first + 1]
         return np.hstack([log(inverse(before) @ after)[:, :3], after[:, :3, 3] - before[:, :3, 3]])
@@ -137,7 +139,9 @@ class Links:
         return 0.5 * float((least + slipped).sum()) + 0.5 * bias
 
     def weights(self, squares: FloatArray) -> FloatArray:
-        """Robust weights of the links, `(M,)`, from their chi^2 `squares` `(M,)`; all 1 for a constant velocity."""
+        """Robust weights of the links, `(M,)`. `squares` `(M,)` has chi^2 of each link. All weights are 1 if the motion
+        model is a constant velocity.
+        """
         return np.ones(len(squares)) if self.steps is None else MOST_SQUARE / np.maximum(squares, MOST_SQUARE)
 
     def check(self, poses: FloatArray) -> None:

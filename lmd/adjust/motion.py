@@ -4,14 +4,15 @@ Both models constrain the relative pose of consecutive frames, with a covariance
 frames. A frame that shows a single tag thus places the tag relative to the tags in earlier and later frames.
 
 - *Odometry* O is a trajectory in a frame of its own; its relative poses drift. With the poses T of the body, the error
-  of frame j relative to frame i is r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of
-  rotation and translation, with a covariance Q in proportion to the step's length; errors propagate to frame j. Let C_i
-  be the sum of Ad_O Q Ad_O^T over all steps before frame i. Then the covariance of r is
-  Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T. The bias b per metre, a twist for scale and heading, is an unknown of the drive. Let
-  B_i be the sum of Ad_O times the length of the step. Then r contains Ad_O_j^-1 (B_j - B_i) b.
+  of frame j relative to frame i is r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step of odometry adds an independent
+  error, whose covariance Q is proportional to the step's length. Let Ad_O be the adjoint matrix of the pose O, and C_i
+  the sum of Ad_O Q Ad_O^T over all steps before frame i. Then the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T.
+  Odometry also has a bias b per metre, a twist that models errors of scale and heading; it is an unknown of the drive.
+  Let B_i be the sum, over all steps before frame i, of Ad_O times the step's length. Then the bias adds Ad_O_j^-1 (B_j
+  - B_i) b to r.
 - *Constant velocity*: the velocity u in the world and the turn rate w of the body change by white noise, and are
-  unknowns of each frame. Let R be the rotation and p the position of the body, and phi = log(R_i^T R_j). A link over dt
-  has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i. The covariance of these errors is
+  unknowns of each frame. Let R be the rotation and p the position of the body, and phi = log(R_i^T R_j). A link over
+  the time dt has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i. The covariance of these errors is
   s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The model has the velocity in the world, as a camera carried straight ahead
   may turn on the way.
 
@@ -140,8 +141,8 @@ class Motion:
         far += METRES_PER_SECOND * np.diff(own)
 
         def at_frames(added: FloatArray) -> FloatArray:
-            """Sum, for each frame, of the matrices of all steps of odometry before the frame, `(F, 6, 6)`. `added`
-            `(T - 1, 6, 6)` has the matrices of the steps.
+            """Sum of the matrices of all odometry steps before each frame, `(F, 6, 6)`. `added` `(T - 1, 6, 6)` has one
+            matrix for each step.
             """
             sums = np.concatenate([0.0 * added[:1], np.cumsum(added, axis=0)])
             return np.asarray(sums[place] + share[:, None, None] * added[place])
@@ -154,15 +155,17 @@ class Motion:
         return cls(times, DRIFT, path, np.stack(drift, axis=1), bias, piece, odometry=odometry, offset=offset)
 
     def shifted(self, offset: float) -> "Motion":
-        """Copy of the motion with another `offset` of the odometry's clock, seconds; the spread does not change."""
+        """Copy of the motion with another `offset` of the odometry's clock, seconds; the noise level (`spread`) is
+        kept.
+        """
         assert self.odometry is not None
         return replace(Motion.by_odometry(self.times, self.odometry, offset), spread=self.spread)
 
     @property
     def velocities(self) -> FloatArray:
         """Turn rate, rad/s, and velocity, m/s, of the body at each frame by odometry, in the body's frame, `(F, 6, 2)`.
-        The last axis has two estimates with independent drift: from even steps and from odd steps of odometry. Both
-        estimates are 0 for frames without odometry.
+        The last axis has two estimates, whose drift is independent: one from the even steps of odometry, one from the
+        odd steps. Both estimates are 0 for frames without odometry.
         """
         assert self.odometry is not None
         own, frames = self.odometry.time, np.arange(len(self.times))
@@ -175,8 +178,8 @@ class Motion:
         return np.where(self.relates(frames, frames)[:, None, None], result.transpose(2, 1, 0), 0.0)
 
     def of(self, frames: IntArray, part: IntArray) -> "Motion":
-        """Motion restricted to n frames with the indices `frames` `(n,)`. Only frames with equal numbers in `part`
-        `(n,)` are linked.
+        """Motion of the n frames with the indices `frames` `(n,)`. Frames are linked only if they have equal numbers in
+        `part` `(n,)`.
         """
         piece = part if self.piece is None else part * (self.piece.max() + 1) + self.piece[frames]
         path, drift, bias = (None if own is None else own[frames] for own in (self.path, self.drift, self.bias_sums))
@@ -256,8 +259,8 @@ class Motion:
 
         Args:
             i, j: indices of frames, `(M,)`.
-            velocities: turn rates and velocities of all frames in the body's frame, `(F, 6)`, NaN if unknown; None for
-                a body at rest. Ignored if the motion is odometry.
+            velocities: turn rates and velocities of all frames in the body's frame, `(F, 6)`, NaN if unknown; None if
+                the body is assumed to rest. Not used with odometry.
         """
         if self.path is not None:
             return np.asarray(inverse(self.path[i]) @ self.path[j])

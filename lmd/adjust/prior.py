@@ -3,8 +3,8 @@
 *Sheets* hold several tags. The poses of the tags on a sheet are known; the pose of the sheet is not. Tag k has the pose
 R_k on its sheet (x to the right, y up, z out of the sheet) and the pose T_k = B R_k exp(d_k) in the world. B is the
 pose of the sheet, and d_k a twist due to printing and bending. B is eliminated, so sheets are not unknowns of the
-bundle adjustment. Let A be the stack of the matrices A_k = Ad(R_k^-1), and D the information matrix of the twists d.
-Then the tags of a sheet have the joint information matrix D - D A (A' D A)^-1 A' D.
+bundle adjustment. Let A be the stack of the matrices A_k = Ad(R_k^-1), and D the information matrix (inverse
+covariance) of all twists d_k. Then the tags of a sheet have the joint information matrix D - D A (A' D A)^-1 A' D.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +23,9 @@ STEPS = 6  # Gauss-Newton steps for the pose of a sheet
 
 
 class Kept:
-    """Normal equations of the kept unknowns (all but the frames' poses), in `count` blocks of six, at first 0."""
+    """Normal equations of the kept unknowns (all but the frames' poses), initially 0. The unknowns form `count` blocks
+    of six.
+    """
 
     def __init__(self, count: int) -> None:
         self.matrix, self.right = np.zeros((6 * count, 6 * count)), np.zeros((count, 6))
@@ -32,7 +34,7 @@ class Kept:
 
     def add(self, index: IntArray | slice, information: FloatArray, off: FloatArray) -> None:
         """Add independent priors on the unknowns of the blocks with the indices `index` `(n,)`. `information` `(n, 6)`
-        is the inverse variance of each unknown, `off` `(n, 6)` is its distance from the expected value.
+        is the inverse variance of each unknown, and `off` `(n, 6)` its present value minus its expected value.
         """
         self.diagonal[index] += information[..., None] * np.eye(6)
         self.right[index] -= information * off
@@ -40,7 +42,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Sheets:
-    """Tags on sheets: those M of the K tags of a survey that were printed on a sheet with other tags."""
+    """Tags that were printed on a sheet with other tags: M of the K tags of a survey."""
 
     tag: IntArray
     """`(M,)` index of each of these tags among the K tags of the survey."""
@@ -52,8 +54,8 @@ class Sheets:
     """`(6,)` inverse variances of the components of d_k."""
 
     def of(self, placed: BoolArray) -> "Sheets | None":
-        """Sheets of which at least two tags are placed, according to the mask `placed` `(K,)`; None if there is no such
-        sheet.
+        """Sheets with at least two placed tags, without their other tags; None if there is no such sheet. `placed`
+        `(K,)` is the mask of the placed tags.
         """
         own = placed[self.tag]
         own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
@@ -99,8 +101,8 @@ class Sheets:
         return off(sheets[self.board], slice(None))
 
     def _normal(self, scaled: FloatArray) -> FloatArray:
-        """Normal matrix A' D A of the pose of each sheet, `(S, 6, 6)`. `scaled` `(M, 6)` has the diagonal of D, the
-        information on the twist of each tag.
+        """Normal matrix A' D A for the pose of each of S sheets, `(S, 6, 6)`. A has the matrices `turned` of the
+        sheet's tags. D is diagonal: `scaled` `(M, 6)` has the inverse variances of each tag's twist.
         """
         return self._summed(np.swapaxes(self.turned, 1, 2) @ (scaled[..., None] * self.turned))
 
@@ -193,7 +195,7 @@ class Prior:
 
     @property
     def exact(self) -> BoolArray:
-        """Mask of the tags whose pose is known exactly, so that the adjustment keeps it, `(K,)`."""
+        """Mask of the tags whose pose is known exactly and hardly changes in an adjustment, `(K,)`."""
         return np.asarray((self.information >= 0.5 * EXACT_SIGMA**-2.0).all(axis=1))
 
     @property
@@ -212,8 +214,8 @@ class Prior:
         return np.asarray((self.information * off**2).sum(axis=1))
 
     def loss(self, poses: Poses) -> float:
-        """Sum of the losses of tags, sheets and mounts. The loss is quadratic for exact tags, correlated tags and
-        mounts, and robust for all other tags and sheets.
+        """Sum of the losses of the priors on tags, sheets and mounts. The loss is quadratic for mounts, and for tags
+        with exact poses or correlated errors. It is robust for all other tags, and for sheets.
         """
         off, exact = self.off(poses.tags), self.exact
         if self.joint is not None:
@@ -229,7 +231,7 @@ class Prior:
         return loss
 
     def add_to(self, kept: Kept, poses: Poses, is_robust: bool) -> None:
-        """Add the information on tags, sheets and mounts to the normal equations `kept`, linearised at `poses`. If
+        """Add the priors on tags, sheets and mounts to the normal equations `kept`, linearised at `poses`. If
         `is_robust`, tags and sheets get robust weights, except tags with exact poses or correlated errors.
         """
         count, off = len(self.tags), self.off(poses.tags)

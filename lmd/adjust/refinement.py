@@ -1,4 +1,4 @@
-"""Refinement: joint estimate of nuisance parameters and all poses.
+"""Refinement: joint estimate of all poses and of nuisance parameters (intrinsics, shifts of corners, shapes of tags).
 
 All nuisance parameters have priors, so that the covariance of the poses accounts for them.
 
@@ -8,8 +8,9 @@ All nuisance parameters have priors, so that the covariance of the poses account
 - *Shifts*: blur and exposure move all edges in the images of a camera inward or outward by s_1 + s_2 (2 / pitch)^2
   pixels. The pitch is the number of pixels per module of the tag. The shift adds to the detector's measured shift, and
   makes tags look smaller or larger.
-- *Shapes*: see `lmd.adjust.sightings.SHAPES`. The standard deviation of shapes is estimated by
-  expectation-maximisation, as the root of the mean, over modes and tags, of the squared estimate plus its variance.
+- *Shapes* are deformations of tags, see `lmd.adjust.sightings.SHAPES`. Their standard deviation is estimated by
+  expectation-maximisation. Its square is the mean, over modes and tags, of the squared estimate plus the estimate's
+  variance.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,13 +45,13 @@ MOST_HALVINGS = 6  # maximum number of halvings of a step that leads to invalid 
 
 
 def _never(_done: int, _most: int) -> bool:
-    """Return False: the refinement is never stopped."""
+    """Return False after each round, so that the refinement is never stopped."""
     return False
 
 
 def with_lenses(found: Estimate, seen: Observations, is_rough: bool = False) -> Estimate:
-    """Estimate with nuisance parameters of the cameras as unknowns; they begin at their prior means, that is, with the
-    given cameras.
+    """Estimate with the nuisance parameters of cameras (intrinsics and shifts of corners) as unknowns. They begin at
+    their prior means, which are those of the given cameras.
 
     Args:
         found: estimate with the given cameras.
@@ -81,7 +82,9 @@ def _through(found: Estimate, lenses: Lenses) -> Estimate:
 
 
 def nuisances_off(found: Estimate) -> FloatArray:
-    """Differences of all nuisance parameters from their prior means, in prior standard deviations, `(n, 6)`."""
+    """Nuisance parameters minus their prior means, in prior standard deviations, `(n, 6)`. The first rows are those of
+    cameras, the others those of the shapes of tags.
+    """
     if found.lenses is None:
         return np.zeros((0, 6))
     some, cameras = found.sightings, found.lenses.off.reshape(-1, 6)
@@ -135,11 +138,13 @@ def _stepped(
 
     Returns:
         estimate after the step; step and variances of the nuisance parameters, `(n, 6)` each; damping for the next
-        step. None if no damping is large enough.
+        step. None if the loss increases with every damping that is tried.
     """
 
     def loss(one: Estimate, some: Sightings | None = None) -> float:
-        """Loss of the estimate `one`: losses of its sightings, or of `some` sightings if given, and of all priors."""
+        """Loss of the sightings and of all priors at the poses and nuisance parameters of the estimate `one`. The
+        sightings are `some`, or those of `joint` if None.
+        """
         nuisances = 0.5 * float((joint.nuisance_information[:, None] * nuisances_off(one) ** 2).sum())
         return nuisances + joint.loss(one.poses, found.floor, some)
 
@@ -156,9 +161,8 @@ def _stepped(
 
 
 def _after(found: Estimate, step: FloatArray, poses: Poses) -> Estimate:
-    """Estimate with the poses `poses`, and with nuisance parameters changed by `step` `(n, 6)`. The unit of a step is
-    the prior standard deviation. The part of the step that changes cameras is halved until the changed cameras are
-    valid.
+    """Estimate with the poses `poses`, and with nuisance parameters changed by `step` `(n, 6)`, in prior standard
+    deviations. The part of the step that changes cameras is halved until the changed cameras are valid.
     """
     lenses, some = _lenses_of(found), found.sightings
     cameras = lenses.off.size // 6
@@ -178,10 +182,10 @@ def _after(found: Estimate, step: FloatArray, poses: Poses) -> Estimate:
 def with_nuisances(
     sightings: Sightings, optics: Sequence[Optics], sigmas: Sequence[FloatArray], poses: Poses
 ) -> Sightings:
-    """Sightings with derivatives with respect to the nuisance parameters of their cameras.
+    """Sightings with the derivatives of their residuals with respect to the nuisance parameters of the cameras.
 
     Args:
-        sightings: sightings through `optics`.
+        sightings: sightings, computed with `optics`.
         optics: optics of each camera.
         sigmas: for each camera, prior standard deviations of its intrinsics and shifts, `(P + 2,)`.
         poses: all poses. Derivatives are taken at the projected corners of tags with a pose. Derivatives at detected
@@ -232,11 +236,11 @@ def _more_unknowns(found: Estimate, slopes: FloatArray) -> tuple[FloatArray, Flo
 
     Args:
         found: estimate with poses.
-        slopes: derivatives of the residuals of the used sightings with respect to the unknowns, in units of their prior
+        slopes: derivatives of the inliers' residuals with respect to these unknowns, whose units are their prior
             standard deviations, `(n, 8, k)`.
 
     Returns:
-        information matrix `(k, k)`; right side `(k,)`.
+        matrix `(k, k)` and right side `(k,)` of the normal equations.
     """
     used, count = found.sightings.of(found.used), slopes.shape[2]
     wider = np.concatenate([used.lens, np.pad(slopes, ((0, 0), (0, 0), (0, 6 - count)))], axis=2)
@@ -252,7 +256,7 @@ def _more_unknowns(found: Estimate, slopes: FloatArray) -> tuple[FloatArray, Flo
 
 def synchronised(found: Estimate, again: Callable[[Estimate], Estimate]) -> Estimate:
     """Estimate with the offset of the camera's clock from the odometry's clock, see `Clock`. If this offset is
-    significant, the odometry is taken at the corrected times.
+    significant, the poses are adjusted again with odometry at the corrected times.
 
     Args:
         found: adjusted estimate.
@@ -275,13 +279,13 @@ def _clock(found: Estimate) -> Clock | None:
     """Estimate the offset of the odometry's clock from the camera's clock; None without odometry. The prior standard
     deviation of the offset is one second.
 
-    If the camera's clock is behind, images show the body farther along its way than at their times. The derivative of
-    the residuals with respect to the offset is the derivative with respect to the pose of the body, times the body's
+    If the camera's clock is behind, images show the body farther along its way than at their times. So the derivative
+    of the residuals with respect to the offset is their derivative with respect to the body's pose, times the body's
     velocity.
 
     Drift of odometry looks like changes of the velocity, and would make the offset seem known where the velocity is
-    constant. The velocities from even and from odd steps of odometry have independent drift, so the product of the two
-    derivatives has the information that the motion contains (instrumental variables).
+    constant. The velocities from even and from odd steps of odometry have independent drift. So the product of the two
+    derivatives, one with each velocity, has only the information that the motion contains (instrumental variables).
     """
     motion, used = found.prior.motion, found.sightings.of(found.used)
     if motion is None or motion.odometry is None or not len(used):
@@ -297,8 +301,8 @@ def edge_doubts(found: Estimate) -> list[str]:
     """List with one sentence that doubts the stated edge length of the tags; empty if there is no reason for doubt.
 
     The edge length is doubted if another edge length of all tags explains the images and the known poses better. The
-    common growth of all tags is estimated as one more unknown. Larger edges move corners outward in proportion to the
-    size of a tag in the image; a shift does not depend on the size.
+    growth common to all tags is estimated as one more unknown. It differs from a shift of edges by blur: larger edges
+    move corners outward in proportion to the size of a tag in the image.
 
     Args:
         found: result of `refine`.

@@ -3,10 +3,10 @@
 Let b be the direction of a detected corner, a unit vector in the camera's frame. J `(2, 3)` is the Jacobian of the
 projection, pixels, with respect to a displacement of b in the tangent plane of the unit sphere. A corner at p in the
 camera's frame has the residual e = J p / (b . p), pixels. The residual equals the reprojection error up to terms of
-second order in e, and needs the inverse of the lens model only once.
+second order in e. The inverse of the lens model is needed only once, for b.
 
 Paper bends and printers change lengths, so the corners of a printed tag do not lie on an exact flat square. In addition
-to rigid motions, a tag has five modes of deformation and a change of scale, its *growth*; the six are `SHAPES`.
+to rigid motions, a tag has five modes of deformation and a change of scale, its *growth*. `SHAPES` has these six.
 """
 
 from collections.abc import Sequence
@@ -105,7 +105,9 @@ class Sightings:
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def with_separate_cameras(self) -> "Sightings":
-        """Copy in which every camera is a body of its own, so there are C F frames of one camera, ordered by camera."""
+        """Copy in which every camera is a separate body, as if mounts were unknown. Each of F frames of C cameras
+        becomes C frames of one camera; these C F frames are ordered by camera.
+        """
         order = np.argsort(self.frame + self.camera * self.frames, kind="stable")
         some = self.of(order)
         frames = some.frame + some.camera * self.frames
@@ -136,13 +138,13 @@ class Sightings:
         return np.asarray(self.noise**2 + floor**2)
 
     def counts(self, chosen: BoolArray | None = None) -> IntArray:
-        """Number of sightings of each tag, `(K,)`; only of the sightings in the mask `chosen` `(N,)`, if given."""
+        """Number of sightings of each tag, `(K,)`. With a mask `chosen` `(N,)`, only its sightings count."""
         return np.bincount(self.tag if chosen is None else self.tag[chosen], minlength=len(self.ids))
 
 
 def shift_basis(pitch: FloatArray) -> FloatArray:
-    """Factors 1 and (2 / pitch)^2, `(N, 2)`, on the parameters s_1 and s_2 of the shift of edges. `pitch` `(N,)` has
-    the pixels per module of each tag in its image. See `lmd.adjust.refinement`.
+    """Factors 1 and (2 / pitch)^2 of s_1 and s_2 in the shift of edges by blur, s_1 + s_2 (2 / pitch)^2, `(N, 2)`.
+    `pitch` `(N,)` has the pixels per module of each tag in its image. See `lmd.adjust.refinement`.
     """
     return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
 
@@ -196,15 +198,15 @@ class Observations:
             raise InputError(f"cameras must have one camera for each of {named}, got {len(self.optics)}.", "cameras")
 
     def renumbered(self, quarters: IntArray | int) -> "Observations":
-        """Copy with renumbered corners: the corner with index 0 gets the index `quarters`. That is one number for all
+        """Copy with renumbered corners of tags: corner 0 becomes corner `quarters`. `quarters` is one number for all
         tags, or an array `(K,)` with a number for each tag.
         """
         every = np.broadcast_to(quarters, len(self.ids))
         return replace(self, detected=self.detected.renumbered(self.ids, every))
 
     def through(self, optics: Sequence[Optics] | None = None) -> Sightings:
-        """Sightings, computed from the detections with the cameras and shifts `optics`; None for the own `optics`.
-        Detections with a corner outside the image or outside the domain of the lens model are left out.
+        """Sightings, computed from the detections with the cameras and shifts of edges in `optics`; None for
+        `self.optics`. Detections with a corner outside the image or outside the domain of the lens model are left out.
         """
         cameras, shifts = zip(*((one.camera, one.shifts) for one in optics or self.optics), strict=True)
         known = np.flatnonzero(np.isin(self.detected.ids, self.ids))

@@ -24,21 +24,24 @@ a_few = partial(few, most=12)
 
 
 def pose_columns(poses: FloatArray) -> dict[str, ArrayLike]:
-    """Columns of positions and quaternions, named `ROW`, for poses `(n, 4, 4)`. Poses of NaN give empty cells."""
+    """Columns of a table with the positions and quaternions of the poses `(n, 4, 4)`, keyed by the names in `ROW`.
+    Poses of NaN give empty cells.
+    """
     return dict(zip(ROW, pose_rows(poses).T, strict=True))
 
 
 def covariance_columns(poses: FloatArray, covariances: FloatArray) -> dict[str, ArrayLike]:
-    """Columns of covariances of position and rotation in the world frame. They hold the upper triangle of each matrix,
-    row by row. `covariances` `(n, 6, 6)` are those of the twists of the `poses` `(n, 4, 4)`.
+    """Columns of a table with the covariances of position and rotation in the world frame, keyed by name. They hold the
+    upper triangle of each matrix, row by row. `covariances` `(n, 6, 6)` are those of the twists of the `poses`
+    `(n, 4, 4)`.
     """
     world = in_world(poses, covariances)
     return {f"cov_{AXES[i]}_{AXES[j]}": world[:, i, j] for i in range(6) for j in range(i, 6)}
 
 
 def quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """Median and 90 % quantile of the values that are not NaN, keyed by `name` with a suffix; empty if all values are
-    NaN.
+    """Median and 90 % quantile of the values that are not NaN, keyed by `name` with the suffixes `/50` and `/90`. Empty
+    if all values are NaN.
     """
     known = values[np.isfinite(values)]
     return {f"{name}/{share}": float(np.quantile(known, share / 100.0)) for share in (50, 90)} if known.size else {}
@@ -46,7 +49,7 @@ def quantiles(name: str, values: FloatArray) -> dict[str, float]:
 
 def both(figures: Mapping[str, float], name: str, factor: float = 1e3, digits: str = ".2g") -> str:
     """Text with the median and the 90 % quantile of the quantity `name`, taken from `figures` (see `quantiles`). Both
-    values are multiplied by `factor`.
+    are multiplied by `factor`, and printed in the format `digits`.
     """
     low, high = (factor * figures[f"{name}/{share}"] for share in (50, 90))
     return f"{low:{digits}} (90 %: {high:{digits}})"
@@ -73,7 +76,7 @@ def clock_figures(found: Estimate) -> dict[str, float]:
 
 
 def document_of(found: Estimate, detected: DetectedTags, sizes: Mapping[int, float]) -> dict[str, Any]:
-    """Entries of a JSON file on the clock, images, cameras and wrong sizes. `sizes` has the estimated edge lengths,
+    """Content of a JSON file about the clock, images, cameras and wrong sizes. `sizes` has the estimated edge lengths,
     metres, keyed by id, of tags whose stated size is wrong.
     """
     return {
@@ -89,7 +92,8 @@ def lines_of(
     found: Estimate, detected: DetectedTags, sizes: Mapping[int, float], doubts: Sequence[str]
 ) -> dict[str, str]:
     """Lines for a terminal, keyed by label: errors of corners, the clock, cameras, images, wrong sizes and doubts.
-    `sizes` is as for `document_of`; `doubts` are sentences on values that contradict the images.
+    `sizes` has the estimated edge lengths, metres, keyed by id, of tags whose stated size is wrong. `doubts` are
+    sentences on values that contradict the images.
     """
     lines, cameras = {}, found.calibrated
     if found.used.any():
@@ -114,9 +118,10 @@ def lines_of(
 
 
 def files_of_model(found: Estimate, detected: DetectedTags, cameras: Sequence[Camera]) -> tuple[dict[str, Any], str]:
-    """Files of a model for other programs, and a note on the files, see `lmd.formats.reconstructions.model_files`.
+    """Files with a model (images, poses and points) for other programs, and a note on the files that are left out.
 
-    The model has the images of an estimate; its points are the corners of the tags.
+    The model has the images of an estimate; its points are the corners of the tags. See
+    `lmd.formats.reconstructions.model_files`.
 
     Args:
         found: the estimate.

@@ -45,10 +45,10 @@ class Box(Checked):
         object.__setattr__(self, "faces", checked_names("faces", self.faces, FACES) if self.faces else ())
 
     def surfaces(self) -> list[Surface]:
-        """Faces of the box that may carry cameras, as whole rectangles. Seen from outside the box, u points to the
-        right and v up.
+        """Faces of the box that may carry cameras, as whole rectangles.
 
-        On the top and the bottom face, v points forward.
+        A face has two axes u and v. Seen from outside the box, u points to the right and v up; on the top and the
+        bottom face, v points forward.
         """
         found = []
         for face in self.faces:
@@ -110,7 +110,9 @@ class Body(Checked):
         return np.array([box.low for box in self._boxes]), np.array([box.high for box in self._boxes])
 
     def surfaces(self) -> tuple[Surface, ...]:
-        """Faces that may carry cameras, reduced to their allowed regions; faces without an allowed region are omitted.
+        """Faces that may carry cameras, each reduced to the regions where a camera may be.
+
+        Faces without such a region are omitted.
 
         Raises:
             InputError: no face has an allowed region.

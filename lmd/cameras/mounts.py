@@ -1,8 +1,7 @@
-"""Admissible mounts of cameras on a body, and the genes in the unit box that encode these mounts. A mount is a camera
-and its pose in the body frame.
+"""Admissible mounts of cameras on a body, and their encoding as genes, numbers in [0, 1] that optimisers vary.
 
-Mounts are rounded to whole millimetres and milliradians, so the mount in a file is exactly the mount that was
-evaluated.
+A mount is a camera and its pose in the body frame. Mounts are rounded to whole millimetres and milliradians, so the
+mount in a file is exactly the mount that was evaluated.
 """
 
 import math
@@ -38,10 +37,10 @@ class MountSpace(Checked):
 
     Args:
         body: body that carries the cameras.
-        lenses: kinds of cameras (intrinsics and lens); each of the cameras may be of any kind.
+        lenses: kinds of cameras (intrinsics and lens); each camera may be of any of these kinds.
         count: number of cameras.
-        yaw: least and greatest yaw from the normal of an upright face, positive to the left, rad; on the top and the
-            bottom face the yaw is not limited.
+        yaw: least and greatest yaw from the normal of a side face, positive to the left, rad; on the top and the bottom
+            face the yaw is not limited.
         pitch: least and greatest pitch, positive down as for `Mount`, rad.
         roll: least and greatest roll, rad.
         apart: least distance between the centres of two cameras, metres.
@@ -69,7 +68,10 @@ class MountSpace(Checked):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the G genes of a camera: place, yaw, and those of pitch, roll and kind of camera that vary."""
+        """Names of the G genes of one camera: `along` and `up` for its place, `yaw`, `pitch`, `roll` and `lens`.
+
+        Of `pitch`, `roll` and `lens` (the kind of the camera), those with only one possible value are left out.
+        """
         turns = tuple(name for name in ("yaw", "pitch", "roll") if np.ptp(getattr(self, name)) or name == "yaw")
         return ("along", "up", *turns, *(("lens",) if len(self.lenses) > 1 else ()))
 
@@ -132,7 +134,7 @@ class MountSpace(Checked):
         )
 
     def are_apart(self, mounts: Sequence[Mount]) -> bool:
-        """True if the centres of any two cameras are at least `apart` from each other."""
+        """True if the centres of every two cameras are at least `apart` from each other."""
         at = np.array([mount.translation for mount in mounts])
         distance = np.linalg.norm(at[:, None] - at, axis=-1)[np.triu_indices(len(at), 1)]
         return bool((distance >= self.apart).all())

@@ -28,7 +28,7 @@ PARTS_PER_THREAD = 4  # number of chunks per thread
 
 
 class CameraViews:
-    """Cache of the views of single cameras: a camera is evaluated only if its mount has not been evaluated before.
+    """Cache of the tags that single cameras see: a mount (a camera with its pose) in the cache is not evaluated again.
 
     Args:
         evaluator: evaluator of a rig, with the positions and orientations of the body.
@@ -46,9 +46,7 @@ class CameraViews:
         self._kept: OrderedDict[Mount, np.ndarray] = OrderedDict()
 
     def _alone(self, camera: Camera) -> Evaluator:
-        """Evaluator of the scene with the given single camera in place of the rig. The positions of this
-        evaluator are not used.
-        """
+        """Evaluator of the scene with `camera` in place of the rig; callers state the positions to evaluate."""
         if camera not in self._of_camera:
             scene = replace(self._evaluator.scene, camera=camera)
             self._of_camera[camera] = Evaluator(scene, self._evaluator.positions[:1], threads=1)
@@ -85,9 +83,9 @@ class CameraViews:
         return packed(found)
 
     def units(self, mounts: Sequence[Mount], n: int) -> np.ndarray:
-        """Probability P_n that a rig with all `mounts` sees at least n tags, at each of P positions, `(P,)`.
+        """Probability P_n that a rig with all `mounts` sees at least n tags, at each of the body's P positions, `(P,)`.
 
-        The probabilities are integers, in units of 1 / `PROBABILITY_ONE`.
+        The probabilities are integers: multiples of 1 / `PROBABILITY_ONE`.
         """
         union = np.uint64(0)
         for mount in mounts:
@@ -99,14 +97,13 @@ class CameraViews:
 
 
 class CameraProblem(Problem):
-    """Problem of finding mounts for the cameras of a rig that give the greatest fitness; the tags are given.
+    """Problem of placing the cameras of a rig on a body for the greatest fitness; the poses of the tags are given.
 
-    The fitness is bit-identical to the fitness of a `Problem` with the resulting rig. For objectives that count
-    landmarks, the views of each camera are evaluated once and cached; for other objectives every rig is evaluated
-    again.
+    The fitness is bit-identical to that of a `Problem` with the rig. If the objective only counts landmarks in view,
+    the views of each camera are evaluated once and cached; otherwise every rig is evaluated again.
 
     Args:
-        problem: problem with the objective and with the scene, whose camera is replaced.
+        problem: problem with the objective and with the scene, in which a rig replaces the camera.
         tags: the landmarks, whose poses do not change.
         space: admissible mounts of the cameras.
         start: cameras with which the search starts; random cameras by default.
@@ -155,7 +152,7 @@ class CameraProblem(Problem):
     def stay(self, mounts: Sequence[Mount]) -> bool:
         """True if all cameras are inside the room at every position of the body.
 
-        The test takes as long as an evaluation and nearly always succeeds, as the corners of the body are in the room.
+        The test takes as long as an evaluation. It nearly always succeeds, as the corners of the body are in the room.
         """
         try:
             replace(self.scene, camera=Rig(tuple(mounts))).check_inside(self.evaluator.positions)
@@ -164,8 +161,9 @@ class CameraProblem(Problem):
         return True
 
     def values_of(self, mounts: Sequence[Mount]) -> FloatArray:
-        """Values of the objective for the rig with these mounts, at the Q positions that the fitness depends on,
-        `(Q,)`.
+        """Values of the objective for the rig with these mounts, `(Q,)`.
+
+        There is one value for each of the Q positions from which the fitness is computed.
         """
         if self.counts:
             return np.asarray(self.views.units(mounts, self.objective.n) / PROBABILITY_ONE)
@@ -175,9 +173,9 @@ class CameraProblem(Problem):
         return np.asarray(self.objective.values(evaluator, *landmarks)[0])
 
     def fitness_of_cameras(self, mounts: Sequence[Mount] | None) -> float:
-        """Fitness of the rig with these mounts; -inf if they are None, or if a new best rig leaves the room.
+        """Fitness of the rig with these mounts; -inf if `mounts` is None, or if a new best rig leaves the room.
 
-        The test for the room, `stay`, is slow, so it is made only if the fitness is a new best.
+        The test of the room, `stay`, is slow, so it is made only if the fitness is a new best.
         """
         if mounts is None:
             return -np.inf
@@ -189,7 +187,10 @@ class CameraProblem(Problem):
         return fitness
 
     def reached(self, fitness: float) -> None:
-        """See `Genome.reached`; from now on, only rigs with a higher fitness are tested for staying inside the room."""
+        """Receive the best fitness of a checkpoint, see `Genome.reached`.
+
+        From now on, only rigs with a higher fitness are tested for staying inside the room.
+        """
         self._most = max(self._most, fitness)
 
     @property

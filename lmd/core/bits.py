@@ -1,7 +1,9 @@
-"""Bit masks of axes (orientations of a camera), and counters for each axis that are stored as binary digits.
+"""Bit masks over the axes of a camera, and counters for each axis that are stored as binary digits.
 
-A mask is an array of 64-bit integers, called words: axis a is bit a % 64 of word a // 64. The counts of the 64 axes of
-a word are J words: digit j of the counts is a word that holds bit j of the count of each axis.
+An axis is one of the camera's orientations. A mask has one bit for each axis, in 64-bit integers that are called words:
+axis a is bit a % 64 of word a // 64. A counter is a number for each axis, such as the number of landmarks in view. The
+counters of the 64 axes of a word are stored as J words, their binary digits: digit j is the word of bit j of each
+counter.
 """
 
 from typing import Any, TypeAlias
@@ -29,8 +31,9 @@ def lowest(word: Any) -> np.uint64:
 
 
 def prefetch(array: Any, index: Any) -> None:
-    """Tell the processor to load elements of an array that are needed soon: 16 elements of 64 bits (two cache lines),
-    from `index` on; the array is in C order.
+    """Tell the processor to load 16 elements of an array, which are needed soon, from the element `index` on.
+
+    An element has 64 bits, so these are two cache lines. The array is in C order.
     """
 
 
@@ -70,28 +73,29 @@ def _prefetch(array, index):  # type: ignore[no-untyped-def] # noqa: ARG001
 
 @inlined
 def add_digit(digit: np.uint64, carry: np.uint64, decrement: np.uint64) -> tuple[np.uint64, np.uint64]:
-    """Add `carry` to one binary digit of the counts; at the axes in `decrement`, subtract `carry` instead.
+    """Add the bits `carry` to one binary digit of the counters of 64 axes.
 
-    All arguments are words with a bit for each axis. Returns the new digit, and the carry (or borrow) for the next
-    digit.
+    All arguments are 64-bit masks with one bit for each axis. At the axes whose bit in `decrement` is 1, `carry` is
+    subtracted instead. Returns the new digit, and the carry (or borrow) for the next digit.
     """
     return digit ^ carry, carry & (digit ^ decrement)
 
 
 @inlined
 def equal_so_far(equal: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
-    """Word of those axes in the word `equal` whose count has the same bit j as n.
+    """Mask of those axes in the mask `equal` whose counter has the same binary digit j as the number n.
 
-    `digit` is digit j of the counts, a word with a bit for each axis.
+    Masks are 64-bit integers with one bit for each axis. `digit` has bit j of the counter of each axis.
     """
     return equal & (digit if n >> j & 1 else ~digit)
 
 
 @inlined
 def add_set(digits: WordArray, axes: np.uint64, decrement: np.uint64) -> None:
-    """Add 1 to the counts at the axes in the word `axes`; subtract 1 instead at those that are also in `decrement`.
+    """Add 1 to the counters of the axes in the mask `axes`, or subtract 1 from those that are also in `decrement`.
 
-    `digits` `(J,)` are the binary digits of the counts, the lowest digit first; they are changed in place.
+    A mask is a 64-bit integer with one bit for each axis. `digits` `(J,)` are the binary digits of the counters, the
+    lowest digit first: digit j has bit j of the counter of each axis. They are changed in place.
     """
     for j in range(np.uint64(len(digits))):
         digits[j], axes = add_digit(digits[j], axes, decrement)
@@ -99,7 +103,10 @@ def add_set(digits: WordArray, axes: np.uint64, decrement: np.uint64) -> None:
 
 @inlined
 def exactly(digits: WordArray, n: Integer) -> np.uint64:
-    """Word with a bit for each axis whose count equals n; `digits` `(J,)` are the binary digits of the counts."""
+    """Mask of the axes whose counter equals n: a 64-bit integer with one bit for each axis.
+
+    `digits` `(J,)` are the binary digits of the counters, the lowest first: digit j has bit j of each counter.
+    """
     equal = ALL
     for j in range(np.uint64(len(digits))):
         equal = equal_so_far(equal, digits[j], n, j)
@@ -108,7 +115,10 @@ def exactly(digits: WordArray, n: Integer) -> np.uint64:
 
 @inlined
 def at_least(digits: WordArray, n: Integer) -> np.uint64:
-    """Word with a bit for each axis whose count is at least n; `digits` `(J,)` are the binary digits of the counts."""
+    """Mask of the axes whose counter is at least n: a 64-bit integer with one bit for each axis.
+
+    `digits` `(J,)` are the binary digits of the counters, the lowest first: digit j has bit j of each counter.
+    """
     reached = ALL
     for j in range(np.uint64(len(digits))):
         # The axes whose counts, taken modulo 2^(j + 1), are at least n modulo 2^(j + 1).
@@ -117,17 +127,17 @@ def at_least(digits: WordArray, n: Integer) -> np.uint64:
 
 
 def in_words(values: np.ndarray) -> np.ndarray:
-    """Pad the last axis of `values` `(..., D)` with zeros to a multiple of `BITS`."""
+    """Pad the last axis of an array `(..., D)` with zeros to a multiple of 64, the number of bits of a word."""
     missing = -values.shape[-1] % BITS
     return np.ascontiguousarray(np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)]))
 
 
 def packed(flags: np.ndarray) -> np.ndarray:
-    """Pack flags, 0 or 1, `(..., D)`, into bit sets of W 64-bit words, `(..., W)`."""
+    """Pack flags, 0 or 1, `(..., D)`, into 64-bit integers `(..., W)`; flag d is bit d % 64 of integer d // 64."""
     return np.packbits(in_words(flags), axis=-1, bitorder="little").view("<u8").astype(np.uint64, copy=False)
 
 
 def unpacked(words: np.ndarray, size: int) -> np.ndarray:
-    """Flags `(..., size)`, 0 or 1, of the bit sets `words` `(..., W)`."""
+    """Inverse of `packed`: flags, 0 or 1, `(..., size)`, from the 64-bit integers `words` `(..., W)`."""
     octets = np.ascontiguousarray(words.astype("<u8", copy=False)).view(np.uint8)
     return np.unpackbits(octets, axis=-1, count=size, bitorder="little")

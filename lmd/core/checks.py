@@ -45,7 +45,7 @@ class InputError(ValueError):
 
     Args:
         message: one sentence for the user, converted by `printable`.
-        argument: name of the wrong argument, with which the message begins; None if the error is about no argument.
+        argument: name of the wrong argument, with which the message begins; None if no argument is wrong.
     """
 
     def __init__(self, message: str, argument: str | None = None) -> None:
@@ -56,7 +56,10 @@ class InputError(ValueError):
         self.argument = argument
 
     def within(self, whole: str) -> "InputError":
-        """Copy of the error that names `whole.argument` as its argument; the error itself if it names no argument."""
+        """Copy of the error with `<whole>.x` as the name of its argument `x`; the error itself if it names no argument.
+
+        `whole` is the name of the argument of which `x` is a part.
+        """
         if self.argument is None:
             return self
         return InputError(f"{whole}.{self}", f"{whole}.{self.argument}")
@@ -64,7 +67,10 @@ class InputError(ValueError):
 
 @contextmanager
 def argument_of(whole: str) -> Iterator[None]:
-    """Context manager that renames the argument of an `InputError` from its block: `x` becomes `<whole>.x`."""
+    """Context manager that renames the argument of an `InputError` from its block: `x` becomes `<whole>.x`.
+
+    `whole` is the name of the argument of which `x` is a part.
+    """
     try:
         yield
     except InputError as error:
@@ -73,9 +79,9 @@ def argument_of(whole: str) -> Iterator[None]:
 
 @contextmanager
 def said_of(source: object, argument: str | None = None, known: Container[str | None] = ()) -> Iterator[None]:
-    """Context manager that puts `source` before the message of an `InputError` from its block.
+    """Context manager that puts `source`, such as a path, before the message of an `InputError` from its block.
 
-    The new error names `argument`. Errors about an argument in `known` are raised unchanged.
+    The new error names `argument` as the wrong argument. An error whose argument is in `known` is raised unchanged.
     """
     try:
         yield
@@ -207,7 +213,7 @@ def entries(name: str, value: Any, check: Callable[[str, Any], Item]) -> tuple[I
 
 
 def only_keys(name: str, value: Iterable[Any], known: Sequence[str]) -> None:
-    """Raise `InputError` if a key of a mapping is not in `known`."""
+    """Raise `InputError` if `value`, a mapping or its keys, has a key that is not in `known`."""
     if unknown := [key for key in value if key not in known]:
         raise InputError(f"{name} has an unknown key {unknown[0]!r}; it may have {', '.join(known)}.", name)
 
@@ -246,13 +252,13 @@ def bounded(what: str, number: float, most: float, source: str, argument: str | 
 
 
 def check_members(name: str, part: Any, protocol: type, page: str) -> None:
-    """Raise `InputError` if an object of a user's class lacks a method or property of a protocol.
+    """Raise `InputError` if an object of a user's class lacks a method or property that a protocol requires.
 
     Args:
         name: name of the argument.
         part: the object.
-        protocol: class that names the members.
-        page: page of the documentation that describes the members.
+        protocol: class with the required methods and properties.
+        page: page of the documentation that describes the protocol.
     """
     wanted = [member for member in vars(protocol) if not member.startswith("_")]
     # A property may be slow or raise an error, so only members that a static look-up does not find are evaluated.
@@ -264,17 +270,17 @@ def check_members(name: str, part: Any, protocol: type, page: str) -> None:
 
 
 def returned(part: Any, method: str, value: Any, *shape: int | None, truth: bool = False) -> Any:
-    """Return the result of a method of a user's class as an array.
+    """Check the result of a method of a user's class, and return this result as an array.
 
     Args:
         part: object of that class.
         method: name of the method.
         value: result of the method.
-        shape: lengths that the result must have along its axes; None for any length.
+        shape: required length of each axis of the result; None for any length.
         truth: True for a mask, False for real numbers.
 
     Raises:
-        InputError: the result has another shape, which NumPy might broadcast, or another type of entries.
+        InputError: the result has another shape, or entries of another type.
     """
     array = np.asarray(value)
     fits = len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
@@ -289,9 +295,7 @@ def returned(part: Any, method: str, value: Any, *shape: int | None, truth: bool
 
 @cache
 def _field_checks(kind: type) -> tuple[tuple[str, Callable[[str, Any], Any], bool], ...]:
-    """Fields of a dataclass that have a check: for each field, its name, the check, and True if the field may be
-    None.
-    """
+    """For each checked field of a dataclass: its name, its check, and True if the field may be None."""
     found = []
     for field in fields(kind):
         types = get_args(field.type) if get_origin(field.type) in (Union, UnionType) else (field.type,)

@@ -82,11 +82,11 @@ class TimedCompiler(Compiler):
     returns_arrays = True  # False: a function may return an array with a reference count, but no tuple with an array
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile a function.
+        """Compile a function of Python; return numba's result of the compilation.
 
         Raises:
-            TypeError: `returns_arrays` is False, and the function returns an array in a tuple or without a reference
-                count.
+            TypeError: the attribute `returns_arrays` is False, and the function returns a tuple with arrays, or an
+                array whose references are not counted.
         """
         counted, models = self.state.flags.nrt, self.state.targetctx.data_model_manager
         with CLOCK.stopped(func):
@@ -102,8 +102,9 @@ class TimedCompiler(Compiler):
 
 
 class StrictCompiler(TimedCompiler):
-    """Compiler that refuses functions that return arrays in tuples or without a reference count, as such arrays would
-    be freed too early.
+    """Compiler that refuses functions that return a tuple with arrays, or an array without a reference count.
+
+    Such arrays would be freed too early.
     """
 
     returns_arrays = False

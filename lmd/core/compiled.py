@@ -22,7 +22,7 @@ PYTHON: bool = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined] # nu
 
 
 def _inside() -> Any:
-    """Module `lmd.core.inside_numba`; None with plain Python, or if the module does not fit this version of numba."""
+    """Module `lmd.core.inside_numba`; None in plain Python, or if the installed numba does not fit this module."""
     if PYTHON:
         return None
     try:
@@ -102,8 +102,9 @@ def _made_kernel(function: F, options: Any) -> F:
 def inner(function: F) -> F:
     """Mark a function that kernels call; it is compiled as a part of each kernel. In Python it is a plain function.
 
-    numba's own compiler has LLVM optimise a function by itself and again within each caller, at every level of nesting,
-    which takes most of the compilation time for nested calls. Here LLVM optimises a function within the kernel only.
+    numba's own compiler has LLVM optimise a function alone, and again within each caller, at every level of nesting.
+    For nested calls this takes most of the compilation time. Here LLVM optimises a function fully only within the
+    kernel.
 
     The function must neither allocate nor return arrays, alone or in a tuple: without reference counts the arrays would
     be freed too early.
@@ -112,11 +113,11 @@ def inner(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Like `inner`, but LLVM inlines the function regardless of its size.
+    """Like `inner`, but LLVM copies the function into its callers regardless of its size.
 
-    Then LLVM vectorises loops that call the function, and moves invariant terms out of the loops. An inlined function
-    also saves the passing of arguments. The state of an objective and its working arrays are named tuples of hundreds
-    of numbers; passing these at each position would take longer than the function's work.
+    Then LLVM vectorises loops that call the function, and moves invariant terms out of the loops. No arguments are
+    passed, which saves time: an objective's state is a named tuple of hundreds of numbers. To pass it at each position
+    of the camera would take longer than the function's work.
     """
     return _made_inner(function, _INNER, _UNCOUNTED | _INLINED)
 

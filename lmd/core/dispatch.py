@@ -1,8 +1,9 @@
 """Single dispatch in compiled code: the class of the first argument (a named tuple or None) selects the function.
 
-This is `functools.singledispatch` for numba. A kernel calls one name. The kernel is compiled for each class of
-arguments, with the function that is registered for the class. So a criterion or an objective is one file that no kernel
-imports. Compiled code stays cached on disk; functions passed as arguments would prevent caching.
+This is `functools.singledispatch` for numba. A kernel calls the dispatched function. The kernel is compiled for each
+class of arguments, with the function that is registered for the class. So a criterion or an objective can be added in
+one new file, which no kernel imports. Compiled code stays cached on disk; functions passed as arguments would prevent
+caching.
 
     @dispatched
     def area(shape): ...
@@ -83,8 +84,9 @@ def _dispatched(declaration: Callable[P, R_co], otherwise: Function | None, opti
 
 
 def entry(column: Any, k: Any) -> Any:
-    """Entry k of a column. The column is an array `(K,)`, or a single number that stands for K equal entries; kernels
-    accept both.
+    """Element k of `column`: an array `(K,)`, or a single number that stands for K equal elements.
+
+    The function also works in kernels.
     """
     return column[k] if isinstance(column, np.ndarray) else column
 

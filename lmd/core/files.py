@@ -201,9 +201,9 @@ def check_aliases(text: str) -> None:
 
 
 def _values(node: Any, known: dict[int, float]) -> float:
-    """Number of values that a YAML node has after its aliases are expanded; infinite for a node that contains itself.
+    """Number of values in a YAML node after its aliases are expanded; infinite for a node that contains itself.
 
-    `known` collects the numbers of all visited nodes, keyed by id.
+    `known` collects the results for all visited nodes, keyed by the node's `id()`; it is empty at first.
     """
     if id(node) not in known:
         known[id(node)] = math.inf

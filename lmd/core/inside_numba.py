@@ -1,6 +1,7 @@
-"""Subclasses of numba's internal classes: libraries, compilers and a cache of kernels (docs/engine.md).
+"""Subclasses of numba's internal classes: code libraries, compilers and a cache of kernels (docs/engine.md).
 
-Only `lmd`'s functions use these subclasses; numba and llvmlite are not patched.
+A code library is numba's object for the LLVM code of one compiled function. Only `lmd`'s functions use these
+subclasses; numba and llvmlite are not patched.
 """
 
 import glob
@@ -27,7 +28,7 @@ PYTHON_WRAPPER = "_ZN7cpython"  # prefix of the names of numba's wrappers that P
 
 
 class _Library(JITCodeLibrary):
-    """LLVM code of a function."""
+    """Code library, numba's object for the LLVM code of one compiled function; base of the two classes below."""
 
     def _optimize_functions(self, module: Any) -> None:
         """Optimise each function at level 1 only, because the whole kernel is optimised again after linking. At level
@@ -39,9 +40,10 @@ class _Library(JITCodeLibrary):
             passes.run(function, builder)
 
     def _linked_into(self, module: Any) -> Any:
-        """Add to `module` the code of all libraries that this library calls; return `module`.
+        """Add to an LLVM `module` the code of all functions that this function calls, directly or indirectly.
 
-        Callers are linked first, so that LLVM drops functions without a caller.
+        A function is added before the functions that it calls, so that LLVM drops functions without a caller. Returns
+        `module`.
         """
         for library in reversed(_called_by(self, {})):
             self._reload_init.update(library._reload_init)
@@ -51,7 +53,10 @@ class _Library(JITCodeLibrary):
 
 
 class _KernelLibrary(_Library):
-    """LLVM code of a kernel. The wrapper for Python is not optimised: it has hundreds of arguments and no loops."""
+    """LLVM code of a kernel, with the code of the functions that it calls.
+
+    numba's wrapper, through which Python calls the kernel, is not optimised: it has hundreds of arguments and no loops.
+    """
 
     def finalize(self) -> None:
         for function in self._final_module.functions:
@@ -67,7 +72,7 @@ class _KernelLibrary(_Library):
 
 
 class _InnerLibrary(_Library):
-    """LLVM code of an inner function; machine code is generated only for kernels that link it."""
+    """LLVM code of an inner function; it becomes machine code only as a part of the kernels that call it."""
 
     def finalize(self) -> None:
         self._raise_if_finalized()
@@ -85,13 +90,20 @@ class _InnerLibrary(_Library):
     codegen = property(lambda self: self)  # numba calls `codegen().set_env`
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Ignore the environment that numba sets, because an inner function has no machine code of its own."""
+        """Do nothing: an environment is for machine code, and an inner function has no machine code of its own."""
 
 
 def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
-    """Libraries that a library calls, directly or through inner functions; callees precede callers.
+    """List the functions that a compiled function calls, directly or through inner functions.
 
-    `found` collects them as its keys; pass an empty dictionary.
+    Each function is represented by its `_Library`, numba's object for its LLVM code.
+
+    Args:
+        library: the calling function.
+        found: collects the called functions as its keys; pass an empty dictionary.
+
+    Returns:
+        the called functions; each is listed before the functions that call it.
     """
     for called in library._linking_libraries:
         if called not in found:
@@ -117,7 +129,7 @@ class _Flags(Flags):
 
 
 class KernelCompiler(StrictCompiler):
-    """Compiler of kernels; an inner function is linked into the kernel, not first into the functions that call it."""
+    """Compiler of kernels, which copies the code of inner functions only into the kernel, not into each other."""
 
     library: type[_Library] = _KernelLibrary
 
@@ -128,9 +140,9 @@ class KernelCompiler(StrictCompiler):
         self.state.flags = _Flags(self.state.flags)
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile a kernel, see `TimedCompiler`.
+        """Compile a kernel, see `TimedCompiler.compile_extra`.
 
-        After an error all locks of the kernel are released, so that no other process waits.
+        After an error the kernel's locks in the disk cache are released, so that no other process waits for the kernel.
         """
         try:
             return super().compile_extra(func)
@@ -147,10 +159,10 @@ class InnerCompiler(KernelCompiler):
     library = _InnerLibrary
 
     def compile_extra(self, func: Any) -> Any:
-        """See `TimedCompiler`.
+        """Compile an inner function; return numba's result of the compilation.
 
         Raises:
-            TypeError: the function uses Python objects.
+            TypeError: the function uses Python objects, or returns arrays that would be freed too early.
         """
         result = super().compile_extra(func)
         if any("missing Environment" in str(each) for each in result.library._final_module.global_variables):
@@ -159,18 +171,20 @@ class InnerCompiler(KernelCompiler):
 
 
 class AllocatingCompiler(InnerCompiler):
-    """Compiler of inner functions that may return arrays: `allocating` functions, which count references, and
-    overloads, which count references if their callers do.
+    """Compiler of inner functions that may return arrays.
+
+    These are `allocating` functions, which count references to arrays, and numba's overloads, which count references if
+    their callers do.
     """
 
     returns_arrays = True
 
 
 class Cache(FunctionCache):
-    """Disk cache of kernels; an entry is valid while the digest of the kernel's source code is unchanged.
+    """Disk cache of compiled kernels; a kernel is valid while the digest of its source code is unchanged.
 
-    There is one index for each set of modules that define the classes of arguments, because reading an index imports
-    these modules. If several processes need a kernel, one of them compiles it.
+    Reading an index of the cache imports the modules that define the classes of a kernel's arguments. So there is one
+    index for each set of such modules. If several processes need a kernel, one of them compiles it.
     """
 
     def __init__(self, function: Any) -> None:
@@ -178,9 +192,9 @@ class Cache(FunctionCache):
         self._locks = LOCKS.setdefault(function, {})
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load a kernel from the cache; if another process is compiling the kernel, wait for that process.
+        """Load a kernel, for arguments of the types `sig`, from the cache; None if it must be compiled here.
 
-        Returns None if the kernel must be compiled here.
+        If another process is compiling the kernel, wait for that process.
         """
         classes = classes_in(getattr(sig, "args", sig))
         names = sorted({kind.__module__ for kind in classes})
@@ -216,9 +230,9 @@ class Cache(FunctionCache):
 
 
 class _Index(IndexDataCacheFile):
-    """Index of the cache, written by one process at a time; unreadable files count as missing.
+    """Index of the disk cache of kernels, written by one process at a time; unreadable files count as missing.
 
-    The names of kernel files contain the digest, so an old file is never taken for a new file.
+    The names of kernel files contain the digest of the source code, so a kernel of older code is never loaded.
     """
 
     def __init__(self, folder: str, base: str, digest: str) -> None:

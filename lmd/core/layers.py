@@ -24,11 +24,10 @@ def layers(bundle: Bundle, number: int) -> Bundle:
 
 
 def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
-    """Stack `number` copies of a part of a bundle (an array or a nested tuple). `copies` contains the stacks made
-    before, keyed by the id of the part, so that shared arrays stay shared.
+    """Stack `number` copies of `part` along a new first axis; `part` is an array or a nested tuple of arrays.
 
-    The function is not a closure of `layers`: a recursive closure is a reference cycle, which delays the release of
-    arrays.
+    `copies` contains the stacks made before, keyed by the `id()` of the array, so that shared arrays stay shared. A
+    recursive closure in `layers` would be a reference cycle, which delays the release of arrays.
     """
     if isinstance(part, tuple):
         return _made(type(part), [_copied(inner, number, copies) for inner in part])
@@ -61,14 +60,14 @@ def _layer(bundle, number):  # type: ignore[no-untyped-def] # noqa: ARG001 # num
 
 
 def _written(part: Any, name: str, kinds: dict[str, Any], lines: list[str]) -> str:
-    """Source code of an expression for the layer `number` of a variable: a named tuple in which each array is indexed.
+    """Source code of an expression that picks the element `number` of each array in a nested named tuple.
 
     Nested tuples are assigned to variables first; otherwise LLVM takes half a minute for a large tuple.
 
     Args:
-        part: numba type of the variable.
-        name: name of the variable.
-        kinds: receives the classes of named tuples that the expression uses, by name.
+        part: numba type of the tuple.
+        name: name of the variable that holds the tuple.
+        kinds: receives the classes of named tuples that the expression uses, keyed by name.
         lines: receives the assignments that precede the expression.
     """
     if isinstance(part, types.Array):

@@ -32,7 +32,7 @@ def check_memory(needed: float, what: str, argument: str | None = None) -> None:
 
     Args:
         needed: needed memory, bytes; up to `LITTLE` it is not checked.
-        what: subject of the message, which begins with `argument` if `argument` is given.
+        what: subject of the message, such as `views = 100`; begins with `argument` if that is given.
         argument: name of the argument that is the cause.
     """
     if needed <= LITTLE:

@@ -41,7 +41,7 @@ def missing(package: str, extra: str) -> InputError:
 
 
 def missing_of(error: BaseException | None) -> InputError | None:
-    """The `InputError` that `missing` makes, if the error is caused by a missing package of `EXTRAS`; else None."""
+    """Error about a missing package of `EXTRAS`, see `missing`, if that is the cause of `error`; else None."""
     while error is not None and not isinstance(error, ModuleNotFoundError):
         error = error.__cause__ or error.__context__
     name = getattr(error, "name", None) or ""
@@ -49,7 +49,7 @@ def missing_of(error: BaseException | None) -> InputError | None:
 
 
 def lack_of(target: str) -> str:
-    """Reason, for a message, why the dotted path `target` leads to no class, such as its part that is missing."""
+    """Reason, for a message, why the dotted path `target` names no class or function, such as a missing module."""
     found, parts = None, target.split(".")
     for i, part in enumerate(parts):
         whole = ".".join(parts[: i + 1])

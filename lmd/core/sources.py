@@ -37,8 +37,8 @@ def digest_of(kernel: FunctionType, classes: Iterable[type]) -> str | None:
     - the files that define these functions and the classes of the arguments.
     - the values of the constants that the functions use.
 
-    Called functions, classes and constants are found by the names in the code. For a `dispatched` function, only the
-    variants registered for the classes of the arguments count.
+    Functions, classes and constants are found by their names in the code. If a called function is `dispatched`, only
+    the functions registered for the classes of the arguments count.
 
     Args:
         kernel: the plain Python function.
@@ -89,8 +89,8 @@ def _counts(module: str) -> bool:
 def _used_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
     """Yield name and value of each global or nonlocal variable in the code of a function, and of its default arguments.
 
-    Default arguments have the name `default`. A tuple is followed by its entries, and decorated functions are
-    unwrapped.
+    A default argument is named `default`. After a tuple, its entries are yielded under the name of the tuple. In place
+    of a decorated function, the original function is yielded.
     """
     names = set(_names_in(function.__code__))
     spaces = [function.__globals__, inspect.getclosurevars(function).nonlocals]
@@ -121,9 +121,7 @@ def _text_of_code(code: CodeType) -> str:
 
 
 def _resolved(function: FunctionType, kinds: set[type]) -> list[FunctionType]:
-    """List of the function itself and, if it is `dispatched`, of its variants that are registered for the classes
-    `kinds`.
-    """
+    """List of the function itself and, if it is `dispatched`, of the functions registered for the classes `kinds`."""
     table = getattr(function, "registered", {})
     return [function, *(inspect.unwrap(table[kind]) for kind in kinds & table.keys())]
 

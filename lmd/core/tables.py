@@ -141,7 +141,9 @@ def read_table(path: Any, *, name: str) -> Table:
 
 
 def csv_rows(path: Any, lines: Sequence[tuple[int, str]], name: str) -> list[tuple[int, list[str]]]:
-    """Rows of a CSV from its numbered lines: for each row, the number of its last line and its values.
+    """Split numbered lines of a CSV into rows: for each row, a line number and the list of its values.
+
+    A row may span several lines; its line number is that of the last of these lines.
 
     Raises:
         InputError: the lines are not a CSV, have semicolons instead of commas, or too many columns.
@@ -210,7 +212,7 @@ def time_of(text: str) -> Decimal | str:
 
 
 def in_order(texts: Iterable[str]) -> list[str]:
-    """Distinct times in ascending order: numbers first, then other texts, such as names of photographs."""
+    """Sort texts of times without repetitions: numbers first, then other texts, such as names of photographs."""
     return sorted(set(texts), key=_time_key)
 
 

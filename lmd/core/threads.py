@@ -22,10 +22,7 @@ def available_threads() -> int:
 
 @cache
 def _helpers(count: int) -> ThreadPoolExecutor:
-    """Pool of `count` threads, shared by all calls of `at_once` in a process.
-
-    Starting threads takes a millisecond, half the time of an evaluation of the paper's room.
-    """
+    """Pool of `count` threads, kept for all calls of `at_once`, as starting threads takes a millisecond."""
     return ThreadPoolExecutor(count)
 
 
@@ -37,8 +34,8 @@ def at_once(threads: int, work: Callable[..., T], *arguments: Iterable[Any]) -> 
     """Call `work` for each set of arguments, like `map`, in at most `threads` threads; return the list of results.
 
     The results are in the order of the arguments. The calling thread works too, so Ctrl-C interrupts it as usual. After
-    an error, no further call begins, and the function waits for calls that have begun. `work` may call `at_once`; calls
-    for which no thread is free run in the calling thread.
+    an error, no further call begins, and the function waits for calls that have begun. `work` may itself call
+    `at_once`; calls for which no other thread is free run in the calling thread.
     """
     calls = list(zip(*arguments, strict=True))
     found: list[Any] = [None] * len(calls)

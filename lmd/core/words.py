@@ -19,7 +19,7 @@ def labelled(rows: Mapping[str, str]) -> str:
 
 
 def few(texts: Iterable[object], most: int) -> str:
-    """Shortened list: the first `most` texts, separated by commas, and the number of omitted texts."""
+    """First `most` of the texts, separated by commas, and the number of omitted texts, as in `a, b and 3 more`."""
     every = list(map(str, texts))
     return ", ".join(every[:most]) + f" and {len(every) - most} more" * (len(every) > most)
 

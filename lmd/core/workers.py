@@ -120,8 +120,9 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def ready_server() -> None:
-    """Prepare a server process from which workers are forked; the server imports those modules of the project that this
-    process has loaded.
+    """Prepare a server process from which workers are forked; it imports the project's modules that are loaded here.
+
+    So workers start quickly.
     """
     multiprocessing.set_forkserver_preload([name for name in sys.modules if name.startswith(OWN_PACKAGES)])
 

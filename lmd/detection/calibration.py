@@ -51,12 +51,16 @@ class Fit:
 
     @property
     def known_circles(self) -> dict[int, float]:
-        """Finite diameters in `circles`, pixels, keyed by the number of the camera, from 1."""
+        """Diameters of the image circles that were found, pixels, keyed by the number of the camera, from 1.
+
+        Outside the image circle of a camera the detector finds no tag.
+        """
         return {number: diameter for number, diameter in enumerate(self.circles, 1) if math.isfinite(diameter)}
 
     def circles_text(self, detector: str) -> str:
-        """Text with a line for each camera whose image circle was found, for messages; `detector` is the detector's
-        name.
+        """Message with a line for each image circle that was found: its diameter, and the number of the camera.
+
+        `detector` is the name of the detector.
         """
         return "".join(
             f"{detector} finds nothing beyond an image circle of {diameter:.0f} pixels, of camera {number}\n"
@@ -151,15 +155,15 @@ def frame_scores(predicted: BoolArray, seen: Matches) -> dict[str, float]:
 
 
 def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
-    """Fit limits to one half of the views and score them on the other half.
+    """Fit the limits of a detector to one half of the views, and score them on the other half.
 
     Views that are not from a recording (`placed` is None) are halved at random. The minimised value is max(false
-    positives, false negatives), which balances the two kinds of error, so that predicted probabilities such as P(>= n)
-    are unbiased.
+    positives, false negatives). It balances the two kinds of error, so that the predicted fraction of frames with at
+    least n tags is unbiased.
 
     The views of a recording are halved in time, as consecutive images are similar. The minimised value is the total
-    number of errors: balancing the errors would compensate for tags that are missed because of glare or occlusion,
-    which the limits do not model. The margin and the image circles are fitted, too.
+    number of errors. Balanced errors would compensate for tags that are missed because of glare or occlusion, which the
+    limits do not model. The margin, and the image circle of each camera, are fitted, too.
 
     Args:
         views: at least two views; views of a recording must be from images taken at two or more different times.
@@ -200,12 +204,14 @@ def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...])
 
 
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
-    """Find the limits, and the diameters of the cameras' image circles, with the fewest errors on `views`: for a
-    recording, the number of wrong predictions, otherwise max(false positives, false negatives). `margin`, pixels, is
-    the margin in the limits; for a recording, it is the lower bound of the fitted margin.
+    """Find the limits, and the diameter of each camera's image circle, that predict the detections in `views` best.
 
-    Limits that are optimised jointly form a group. A group is an array of masks, one for each combination of values of
-    the limits. A mask marks the views that meet the limits with these values.
+    The minimised value is the number of wrong predictions for a recording, otherwise max(false positives, false
+    negatives). `margin`, pixels, is the margin in the limits; for a recording, it is the lower bound of the fitted
+    margin.
+
+    Limits that are optimised jointly form a group. A group has one mask for each combination of their values: the mask
+    of the views that meet the limits with these values.
     """
     placed, margins, circles = views.placed, np.array([margin]), []
     sharp = views.pitch >= np.hypot(PITCHES[:, None, None], BLURS[:, None] * views.sigma)  # (A, K, M)
@@ -229,7 +235,10 @@ def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
 
 
 def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
-    """For each camera, candidate diameters of its image circle, pixels, descending; the first diameter is infinite."""
+    """For each camera, candidate diameters of its image circle, pixels, in descending order.
+
+    The first candidate is infinite: the detector finds tags in the whole image.
+    """
     each = []
     for camera in range(placed.camera.max() + 1):
         own = (placed.camera == camera) & np.isfinite(placed.circle)

@@ -128,11 +128,11 @@ class CornerErrors(Checked):
     """Log-normal distribution of the root mean square error of a tag's four corners, as a function of the pitch.
 
     Between the given pitches, the logarithm of a quantile is interpolated linearly in the logarithm of the pitch;
-    beyond the given pitches, quantiles are constant. The direction of the error vector in its eight dimensions is
-    uniform.
+    beyond the given pitches, quantiles are constant. The errors of the eight corner coordinates form a vector, whose
+    direction is uniformly distributed.
 
     Raises:
-        InputError: the numbers of values and of pitches differ, or the spread is negative.
+        InputError: `median`, `high` or `inward` has another length than `pitch`, or `inward_spread` is negative.
     """
 
     pitch: tuple[float, ...]
@@ -167,8 +167,9 @@ class CornerErrors(Checked):
         return mean, (high - mean) / NORMAL_QUANTILE_90
 
     def draw(self, pitch: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw random corner errors of tags, pixels, `(..., 4, 2)`, for the pitches `pitch`, pixels per module,
-        `(...)`.
+        """Draw random corner errors of tags, pixels, `(..., 4, 2)`.
+
+        `pitch` has the pitches of the tags, pixels per module, `(...)`.
         """
         mean, spread = self._at(pitch)
         error = np.exp(mean + spread * rng.standard_normal(pitch.shape))
@@ -177,20 +178,24 @@ class CornerErrors(Checked):
         return np.asarray(direction * (error / np.sqrt(square))[..., None, None])
 
     def inward_at(self, pitch: FloatArray) -> FloatArray:
-        """Mean shift of the edges towards the middle of the tag, pixels, in the shape of `pitch`, interpolated
-        linearly.
+        """Mean shift of a tag's edges towards its centre, pixels, in the shape of `pitch`.
+
+        The shift is interpolated linearly in the logarithm of the pitch.
         """
         return np.asarray(np.interp(np.log(pitch), np.log(self.pitch), self.inward))
 
     def independent_sigma(self, pitch: FloatArray) -> FloatArray:
-        """Standard deviation of one coordinate of one corner without the mean shift `inward`, pixels, in the shape of
-        `pitch`.
+        """Standard deviation of the error of one corner coordinate, without the mean shift `inward`, pixels.
+
+        The result has the shape of `pitch`.
         """
         whole = self.sigma(pitch)
         return np.asarray(np.sqrt(np.maximum(whole**2 - self.inward_at(pitch) ** 2, (LEAST_SHARE * whole) ** 2)))
 
     def sigma(self, pitch: FloatArray) -> FloatArray:
-        """Standard deviation of one coordinate of one corner, pixels, in the shape of `pitch`."""
+        """Root mean square error of one corner coordinate, including the mean shift `inward`, pixels, in the shape of
+        `pitch`.
+        """
         mean, spread = self._at(pitch)
         return np.asarray(np.exp(mean + spread**2) / np.sqrt(2.0))
 
@@ -276,7 +281,7 @@ class MeasuredCorners:
         return cls(pitches, noise, shifts, slants, oblique, modes)
 
     def independent_sigma(self, pitch: FloatArray, incidence: FloatArray) -> FloatArray:
-        """Standard deviation of one coordinate of one corner without the mean shift, pixels, in the shape of `pitch`.
+        """Standard deviation of the error of one corner coordinate, without the mean shift, pixels, `(...)`.
 
         Args:
             pitch: pitches, pixels per module, `(...)`.

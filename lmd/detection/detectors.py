@@ -68,17 +68,17 @@ class Detector(Protocol):
 
 
 def read_family(name: str, value: Any, table: str, other: str) -> str:
-    """Check that a library of tag detectors reads the family `value`, and return the name of this family in `FAMILIES`.
+    """Check that a library of tag detectors supports a tag family, and return the name of the family in `FAMILIES`.
 
     Args:
-        name: name of the argument.
+        name: name of the argument, for messages.
         value: name of the family.
-        table: name of the field, in the entries of `FAMILIES`, that holds the library's own name of a family; the field
-            is empty for families that the library lacks.
+        table: name of a field of the entries of `FAMILIES`. The field holds the library's own name of the family, and
+            is empty if the library does not support the family.
         other: name of another library, which the error message proposes.
 
     Raises:
-        InputError: the library does not read the family.
+        InputError: the library does not support the family.
     """
     family, known = family_named(value), [name for name, kind in FAMILIES.items() if getattr(kind, table)]
     if family in FAMILIES and family not in known:
@@ -249,11 +249,14 @@ def match(
 def precision_recall(
     predicted: BoolArray, detected: BoolArray, axis: int | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Precision and recall: fraction of predicted tags that are detected, and fraction of detected tags that are
-    predicted. The precision is NaN if no tag is predicted, the recall if no tag is detected.
+    """Precision and recall of predicted detections.
+
+    Precision is the fraction of the predicted tags that are detected; NaN if no tag is predicted. Recall is the
+    fraction of the detected tags that are predicted; NaN if no tag is detected.
 
     Args:
-        predicted, detected: masks of the K tags that are predicted and detected in N frames, `(N, K)` each.
+        predicted: mask of the tags that are predicted as detected, for K tags in N frames, `(N, K)`.
+        detected: mask of the tags that the detector found, `(N, K)`.
         axis: None for one value over all frames and tags, 0 for a value for each tag `(K,)`, 1 for each frame `(N,)`.
     """
     both = (predicted & detected).sum(axis=axis)
@@ -262,7 +265,7 @@ def precision_recall(
 
 
 class Shares(NamedTuple):
-    """Fractions of frames with at least n tags, for n = 1, 2, 3, 4."""
+    """Fractions of frames in which at least n tags are predicted or detected, for n = 1, 2, 3, 4."""
 
     share: FloatArray
     """Fractions p = P(>= n) of frames with at least n tags, `(4,)`."""
@@ -288,8 +291,9 @@ def agreement(predicted: BoolArray, detected: BoolArray, n: int = 2) -> float:
 
 
 def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
-    """Root mean square distance of the four detected corners of each tag, `found`, from the exact corners, `expected`,
-    pixels, `(...)`. Both arguments are `(..., 4, 2)`.
+    """Root mean square distance of the four detected corners of each tag from its exact corners, pixels, `(...)`.
+
+    `found` has the detected corners, `expected` the exact corners, `(..., 4, 2)` each.
     """
     return np.asarray(np.sqrt(((found - expected) ** 2).sum(axis=-1).mean(axis=-1)))
 

@@ -60,7 +60,7 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
     """Surfaces of a room with the tags of a deployment on them, for the renderer.
 
     Raises:
-        InputError: the tag is a point, or its family is too small.
+        InputError: landmarks are points, or the tag family lacks the id of a landmark.
     """
     tag.check_ids(deployment.ids)
     places = deployment.positions, deployment.normals, deployment.ups
@@ -85,8 +85,10 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
-    """Standard deviation of the total blur of points, pixels, in the shape of `depth`. `depth` has the depths of the
-    points in front of the camera, metres.
+    """Standard deviation of the blur of points due to optics, defocus and motion together, pixels, in the shape of
+    `depth`.
+
+    `depth` has the depths of the points in front of the camera, metres.
     """
     sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
     return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # motion blur has a uniform distribution

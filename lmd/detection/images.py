@@ -186,7 +186,8 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     standard deviation of the blur across the second most blurred edge of the tag.
 
     Across an edge, the grey level rises from black to white. The distance between 16 and 84 % of this step is two
-    standard deviations of the blur. Motion blurs only the edges perpendicular to the motion.
+    standard deviations of the blur. Motion blurs only the two edges perpendicular to the motion, so the second most
+    blurred edge shows this blur, too.
 
     Args:
         image: grey image, `(h, w)`.

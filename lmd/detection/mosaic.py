@@ -37,8 +37,8 @@ Factor = Annotated[tuple[float, float], partial(span, low=1e-3)]
 
 @dataclass(frozen=True)
 class ViewRanges(Checked):
-    """Ranges of the parameters of random views. Each parameter is drawn uniformly from its range, except `sigma`, whose
-    logarithm is drawn uniformly.
+    """Ranges of the parameters of random views. Each parameter is drawn uniformly from its range, except the blur
+    `sigma`, whose logarithm is drawn uniformly.
 
     Raises:
         InputError: a range is empty or out of bounds.
@@ -219,7 +219,9 @@ def _detect(
 
 def _errors(detections: Detections, ids: NDArray[np.int64], expected: FloatArray) -> FloatArray:
     """Root mean square corner error of each tag of a mosaic, pixels, `(M,)`; NaN for tags that are not detected.
-    `expected` has the exact corners, pixels, `(M, 4, 2)`. Several tags may have equal `ids`.
+
+    `expected` has the exact corners, pixels, `(M, 4, 2)`. Several tags of a mosaic may have one id, so a detection
+    belongs to the tag with its id and nearby corners.
     """
     error = np.full(len(ids), np.nan)
     for number, found in zip(detections.ids, detections.corners, strict=True):

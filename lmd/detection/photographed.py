@@ -78,8 +78,9 @@ class BagImages(Checked):
 
     @cached_property
     def _taken(self) -> list[tuple[str, int]]:
-        """For each image that is not skipped, the time in its header as a text, and the time of its recording, ns; in
-        the order of the times in the headers.
+        """Time in the header (as a text) and time of recording (ns) of each image, in the order of the header times.
+
+        Images that follow faster than `rate` are left out.
         """
         found: dict[str, int] = {}
         for message in self.bag.messages(self.topic):
@@ -175,7 +176,7 @@ def detected_in_photographs(
         cameras: the cameras; photographs must have the image sizes of the cameras.
         detector: detector of the tags.
         modules: number of modules along an edge of a tag.
-        each: function that applies a function to all jobs, and returns the results in the order of the jobs.
+        each: function like the built-in `map`, which keeps the order of the jobs; may use several processes.
         topic: topic of the images in a bag; for several cameras, a list with the topic of each camera.
         rate: maximum number of frames per second taken from a video or a bag.
         workers: number of processes that `each` uses; None for one per processor. The result does not depend on this
@@ -220,15 +221,16 @@ class Chunk(NamedTuple):
 def detected_in(
     images: Images, camera: "Camera", detector: "Detector", modules: int, each: Each, workers: int | None
 ) -> DetectedTags:
-    """Detect tags in the images of one camera; images that are much more blurred than the others are left out. Remarks
-    on the images are printed as warnings.
+    """Detect tags in the images of one camera; images that are much more blurred than the others are left out.
+
+    Remarks of `images`, such as on files that are not read, are printed as warnings.
 
     Args:
         images: the images.
         camera: camera that took the images.
         detector: detector of the tags.
         modules: number of modules along an edge of a tag.
-        each: function that applies a function to all jobs, and returns the results in the order of the jobs.
+        each: function like the built-in `map`, which keeps the order of the jobs; may use several processes.
         workers: number of processes that `each` uses; None for one per processor.
 
     Raises:

@@ -109,7 +109,7 @@ class Prediction:
 
     @cached_property
     def met(self) -> Mapping[str, BoolArray]:
-        """For each criterion, the mask of the tags that meet it, `(N, C K)`, keyed by the criterion's name."""
+        """For each criterion of the visibility model, keyed by name, the mask of the tags that meet it, `(N, C K)`."""
         names = self.parts[0].met
         return {name: np.concatenate([part.met[name] for part in self.parts], axis=1) for name in names}
 
@@ -134,10 +134,10 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
       its standard error.
     - `agreement_<n>`: fraction of frames in which prediction and detection agree on whether at least n tags are found.
     - `precision`, `recall`: precision and recall over all tags in all frames.
-    - `left_out`: tags that are detected but not predicted; `left_out_<criterion>`: of these, the tags that fail the
-      criterion.
-    - `overrated`: tags that are predicted but not detected. Of these, `overrated_cut`: tags cut by the image border;
-      `overrated_overlapping`: whole tags that overlap another tag.
+    - `left_out`: number of tags that are detected but not predicted; `left_out_<criterion>`: number of these tags that
+      fail a criterion of the visibility model.
+    - `overrated`: number of tags that are predicted but not detected. `overrated_cut` is the number of these tags that
+      the image border cuts; `overrated_overlapping` is the number of those not cut that overlap another tag.
     - `false_a_frame`: false detections per frame.
     - `corner_median`, `corner_90`: quantiles of the corner error, pixels.
     - `pose_share`: fraction of frames whose detections determine a pose; `position_median`, `position_90`,

@@ -76,7 +76,7 @@ class TagViews:
 
     @classmethod
     def concatenated(cls, parts: Sequence["TagViews"]) -> Self:
-        """Concatenate the views of all `parts`; the result has no `placed`."""
+        """Concatenate the views of all `parts`; the positions of tags in images, `placed`, are dropped."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS))
 
 

@@ -223,7 +223,7 @@ class Video(Checked):
 
 @dataclass(frozen=True)
 class _Index:
-    """Index of all frames of a video."""
+    """Times of all frames of a video, and properties of the video that decide how frames are read."""
 
     times: list[float]
     """Times of the frames, seconds."""

@@ -1,16 +1,16 @@
 """Cramer-Rao bound on the pose of a camera from the images of landmarks.
 
 A perturbation of the pose X to X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v,
-where y_i x w is a cross product. The image of the landmark moves by J_i (w, v) with
-`J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]` and the focal lengths f_u, f_v in pixels. For
-a distorting lens, the lens's Jacobian (`lmd.geometry.lens`) replaces the factors of the focal lengths. With pixel noise
-sigma the Fisher information about the pose is sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has
-a smaller covariance than the inverse of the information. Fewer than three landmarks, or collinear landmarks, do not
-determine the pose: the bound is infinite.
+where y_i x w is a cross product. The image of the landmark moves by J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z);
+(f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`. Here f_u and f_v are the focal lengths in pixels, [y_i]x is the matrix of the
+cross product with y_i, and I the unit matrix. For a distorting lens, the Jacobian of the lens (`lmd.geometry.lens`)
+replaces the factors with focal lengths. With pixel noise sigma the Fisher information about the pose is sum J_i^T J_i /
+sigma^2. No unbiased estimate from this one frame has a smaller covariance than the inverse of the information. Fewer
+than three landmarks, or collinear landmarks, do not determine the pose: the bound is infinite.
 
-A camera of a rig with the pose M on the body (`lmd.scene.rig.Rig.extrinsics`) moves by Ad_{M^-1} (w, v) when the body
-moves by (w, v). The Fisher information of all images at one time is the sum of Ad^T I Ad over the cameras, where I is
-the information of one camera.
+Let M be the pose of a camera on the body of a rig (`lmd.scene.rig.Rig.extrinsics`). If the body moves by (w, v), the
+camera moves by A (w, v), where A = Ad_{M^-1} is the adjoint matrix (`lmd.geometry.se3`). The Fisher information of all
+images at one time is the sum of A^T F A over the cameras, where F is the information of one camera.
 """
 
 from collections.abc import Sequence
@@ -48,7 +48,7 @@ def pose_information(
     noise: Sequence[FloatArray] | None = None,
 ) -> FloatArray:
     """Fisher information about the pose of a body in each of F frames, from the images of its C cameras, `(F, 6, 6)`.
-    The pose is parametrised by body twists (w, v).
+    The parameters of the pose are body twists (w, v): rotation w and displacement v.
 
     Args:
         cameras: intrinsics and distortion of the cameras.
@@ -125,8 +125,10 @@ class CramerRaoMap:
         return metrics
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a CSV with the columns `x,y,z,share,position,attitude`, one row per position; cells of infinite bounds
-        are empty.
+        """Write a CSV with one row per position; cells of infinite bounds are empty.
+
+        The columns are `x,y,z` (m); `share`, the probability that a frame determines the pose; and the median bounds
+        `position` (m) and `attitude` (rad).
         """
         bounds = {"share": self.share, "position": self.position, "attitude": self.attitude}
         columns = dict(zip("xyz", self.positions.T, strict=True)) | bounds
@@ -170,8 +172,9 @@ class CramerRaoBound:
     interface `Estimator`, so that tables can show the bound beside real estimators.
 
     A tag is measured by the images of its corners, a point by the image of its centre. An estimator that uses earlier
-    frames may have smaller errors. For the error Er (see `Errors.frobenius`) the bound is the expectation tr S_vv + 2
-    tr S_ww, where S_vv and S_ww are the blocks of position and attitude of the bound on the covariance.
+    frames may have smaller errors. The bound on the mean of the squared error Er (see `Errors.frobenius`) is tr S_vv +
+    2 tr S_ww. Here S is the bound on the covariance of the pose, with the blocks S_vv of the position and S_ww of the
+    attitude.
     """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:

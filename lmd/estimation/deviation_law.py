@@ -1,5 +1,5 @@
-"""Uncertainty laws for filters. A law gives the standard deviation (sd) of a pose as a function of the distance and the
-number of tags in view.
+"""Uncertainty laws for filters. A law gives the standard deviation (sd) of the position or rotation of a pose, as a
+function of the distance and the number of tags in view.
 
 A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. There is one law for a single tag and
 another law for several tags. With one tag the position follows from the apparent size and tilt of a small square, with
@@ -41,7 +41,9 @@ class PowerLaw:
     """Exponent c of the number of tags."""
 
     def at(self, distance: FloatArray | float, tags: IntArray | int) -> FloatArray:
-        """Standard deviations for mean distances [m] and numbers of tags, which are broadcast against each other."""
+        """Standard deviations for mean distances [m] and numbers of tags; the two arrays are broadcast against each
+        other.
+        """
         return np.asarray(
             self.scale * np.power(distance, self.distance) / np.power(np.asarray(tags, dtype=np.float64), self.tags)
         )
@@ -144,8 +146,10 @@ def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatA
 
 
 def ratio_quantiles(deviation: FloatArray, predicted: FloatArray) -> dict[str, float]:
-    """Quantiles, at the probabilities `LEVELS`, of the ratio `deviation` / `predicted` over the V views, `(V,)` each,
-    and `factor_90`: 90 % of the ratios are within this factor of 1.
+    """Quantiles of the ratio `deviation` / `predicted` over V views, at the probabilities `LEVELS`.
+
+    Both arguments are standard deviations, `(V,)`. The quantiles are keyed by names such as `50 %`. 90 % of the ratios
+    are between 1 / `factor_90` and `factor_90`.
     """
     ratio = deviation / predicted
     found = {

@@ -65,14 +65,17 @@ class Measurement(Protocol):
         """Covariance of the measured numbers, `(d, d)`."""
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Prediction of the measured numbers for a pose X `(4, 4)`, `(d,)`; and its Jacobian with respect to a body
-        twist (w, v), `(d, 6)`.
+        """Measured numbers as predicted for the pose X, `(d,)`, and their Jacobian with respect to a body twist (w, v),
+        `(d, 6)`.
+
+        `pose` is the pose X, `(4, 4)`.
         """
 
 
 class CameraPoints(NamedTuple):
-    """Measured positions of m landmarks in the camera's frame, metres, y = X^-1 C for the pose X and the world position
-    C. A `Measurement` of `3 * m` numbers.
+    """Measured positions of m landmarks in the camera's frame, metres; a `Measurement` of `3 * m` numbers.
+
+    For the camera pose X, a landmark at C in the world has the position y = X^-1 C in the camera's frame.
     """
 
     landmarks: FloatArray
@@ -217,8 +220,10 @@ class FixedLagSmoother(Uncertainty):
 
 
 def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> FloatArray | None:
-    """Pose with which the smoother starts at frame t of run s; None if t is 0 or the images of the frame do not
-    determine a unique pose. If landmarks are points, the result is always the pose `expected`.
+    """Pose with which the smoother starts at frame t of run s; None if the smoother must start later.
+
+    For point landmarks the result is the pose `expected`. For tags it is the pose that the images of the frame
+    determine; None for frame 0, and for images that fit no pose or several poses.
     """
     if recording.corners is None:
         return expected

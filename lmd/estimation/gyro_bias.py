@@ -1,7 +1,7 @@
 """Equivariant Kalman filter that estimates the pose of a body and the bias of its gyro.
 
-The state is a pose T and a bias b of the measured body twist w, whose angular part is measured by the gyro. Landmark i
-at C_i is measured at y_i in the camera's frame. With the noise n of w and white noise `walk`,
+The state is a pose T and a bias b of the measured body twist w. The gyro measures the angular part of w. Landmark i at
+C_i is measured at y_i in the camera's frame. With the noise n of w and white noise `walk`,
 
     T' = T (w - b - n),    b' = walk,    y_i = T^-1 C_i + noise.
 
@@ -19,9 +19,10 @@ change in a time step by
 
     x <- x - h J(h W) z,    z <- Ad_exp(h W) z.
 
-The output is equivariant, too: T y moves C_i. With c_i = (C_i + Th y_i) / 2, the residual Th y_i - C_i is [c_i]x u - v
-for x = (u, v), up to third-order errors. After a correction (dx, dz), the errors relative to the new estimate are x <-
-J(dx) x and z <- Ad_exp(dx) z. So the linear part of the estimated bias stays 0.
+The output is equivariant, too: without noise, Th y_i = e^-1 C_i. Let x = (u, v) and c_i = (C_i + Th y_i) / 2. Then the
+residual Th y_i - C_i is c_i x u - v (with a cross product), up to third-order errors. After a correction (dx, dz), the
+errors relative to the new estimate are x <- J(dx) x and z <- Ad_exp(dx) z. So the linear part of the estimated bias
+stays 0.
 
 Source: P. van Goor, T. Hamel and R. Mahony, "Equivariant filter (EqF)", IEEE Trans. Automatic Control 68 (6), 2023; A.
 Fornasier et al., "Overcoming bias: equivariant filter design for biased attitude estimation with online calibration",
@@ -104,8 +105,9 @@ class EquivariantFilter(Uncertainty):
         return State(pose, state.bias, transition @ state.covariance @ transition.T + noise)
 
     def _from_body(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
-        """Convert the variances `squares` `(12,)` of independent errors of twist and bias, in the frame of a body with
-        the pose `pose`, to the covariance of the filter's errors (x, z) in the map's frame, `(12, 12)`.
+        """Covariance of the filter's errors (x, z) in the map's frame, `(12, 12)`, from variances in the body's frame.
+
+        `squares` `(12,)` has the variances of the independent errors of twist and bias; `pose` is the pose of the body.
         """
         turn = np.kron(np.eye(2), adjoint_matrix(pose))
         return np.asarray(turn @ np.diag(squares) @ turn.T)

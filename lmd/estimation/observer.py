@@ -1,11 +1,13 @@
-"""Observer on SE(3): X-hat' = X-hat (U - epsilon - P(k_0 I_4 Q(Y-hat - Y))) from the landmarks in view.
+"""Observer on SE(3): it estimates the pose of a camera from the measured twist and the landmarks in view.
 
-Notation: X is the camera pose, X-hat or Xh its estimate, and U the measured twist. Landmark i at C_i is measured at y_i
-= X^-1 C_i and predicted at yh_i = Xh^-1 C_i in the camera's frame. The error is e_i = yh_i - y_i, and the cost is f =
-1/2 sum k_i |e_i|^2 with the gains k_i. All sums are over the landmarks visible at that instant. Twists (w, v) have the
-metric diag(l^2 I, I). The descent direction of f is
+    X-hat' = X-hat (U - epsilon - P(k_0 I_4 Q(Y-hat - Y)))
 
-- left-invariant, as printed:  -eps = (l^-2 sum k_i yh_i x e_i, sum k_i e_i).
+X is the camera pose, X-hat or Xh its estimate, and U the measured twist. Landmark i at C_i is measured at y_i = X^-1
+C_i and predicted at yh_i = Xh^-1 C_i in the camera's frame. The error is e_i = yh_i - y_i, and the cost is f = 1/2 sum
+k_i |e_i|^2 with the gains k_i. All sums are over the landmarks visible at that instant. Twists (w, v) have the metric
+diag(l^2 I, I) with a length l. The descent direction of f is
+
+- left-invariant, as in the paper:  -eps = (l^-2 sum k_i yh_i x e_i, sum k_i e_i).
 - right-invariant:             -eps = Ad_{Xh^-1} (l^-2 sum k_i C_i x s_i, sum k_i s_i) with s_i = C_i - Xh y_i.
 
 The error dynamics of the right-invariant form do not depend on the trajectory. The paper takes Q, k_0 and P from a work
@@ -88,8 +90,9 @@ class Observer(Checked):
         return np.asarray(descent - np.concatenate([np.zeros_like(damped), damped], axis=-1))
 
     def _twist(self, arms: FloatArray, forces: FloatArray, gain: FloatArray) -> FloatArray:
-        """Twist (l^-2 k sum arm x force, k sum force), `(..., 6)`, where k is the gain. `arms` are positions of
-        landmarks and `forces` their errors, `(..., K, 3)` each.
+        """Twist (l^-2 k sum arm x force, k sum force), `(..., 6)`, with the gain k and the length l of the metric.
+
+        `arms` are positions of landmarks and `forces` their errors, `(..., K, 3)` each; x is the cross product.
         """
         turning = cross(arms, forces).sum(axis=-2) / self.length**2
         return np.concatenate([gain * turning, gain * forces.sum(axis=-2)], axis=-1)

@@ -24,8 +24,9 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
         deployments. `position_ratio` is the median, over these flights, of the position error divided by the error with
         the first deployment. `position_better` is the number of flights in which the deployment of the row has the
         smaller error. `within_20mm_gain` is the mean increase, from the first deployment to that of the row, of the
-        fraction of frames with a position error below 20 mm. `position_p` and `within_20mm_p` are two-sided p-values of
-        the Wilcoxon signed-rank test. `position_ratio` and `position_p` are NaN without such a flight.
+        fraction of frames with a position error of at most 20 mm. `position_p` and `within_20mm_p` are two-sided
+        p-values of the Wilcoxon signed-rank test. `position_ratio` and `position_p` are NaN if no flight has estimates
+        for both.
     """
     rows = []
     for estimator, runs in figures.groupby("estimator", sort=False):

@@ -61,8 +61,9 @@ class PerspectiveNPoint:
 
 
 def likely(found: list[Solution]) -> list[FloatArray]:
-    """Poses that fit almost as well as the best pose, including the best pose. `found` is in ascending order of the
-    error.
+    """Poses that fit the image almost as well as the best pose, including the best pose.
+
+    `found` has the solutions of PnP in ascending order of the reprojection error.
     """
     return [solution.pose for solution in found if solution.square - found[0].square < TOLD_APART]
 

@@ -80,7 +80,9 @@ class TagErrors:
 
     @property
     def modes(self) -> FloatArray:
-        """Covariance Q of the eight corner coordinates of a tag for sigma = 1, `(8, 8)`."""
+        """Covariance Q of the noise of a tag's eight corner coordinates, `(8, 8)`, divided by the variance of a
+        coordinate.
+        """
         if not isinstance(self.noise, MeasuredCorners):
             return np.eye(8)
         return np.asarray(np.kron(np.tensordot(self.noise.modes, MODES, axes=1), np.eye(2)))
@@ -108,10 +110,12 @@ def pose_covariances(
         errors: errors of the K tags.
 
     Returns:
-        covariance of the body twist (w, v), `(F, 6, 6)`, infinite if the pose is undetermined. Largest standard
-        deviation of a coordinate of a corner in the images of each tag, pixels, `(F, K)`, 0 for tags not in view.
-        Jacobian H^-1 B of the estimated body twist with respect to the error (p, r) of a tag in the map, `(P, 6, 6)`, 0
-        if the pose is undetermined. Each of the P pairs of a frame and a tag in view has one such Jacobian.
+        covariances: covariance of the body twist (w, v), `(F, 6, 6)`; infinite if the pose is undetermined.
+        sigmas: standard deviation of a corner coordinate of each tag, pixels, `(F, K)`, the largest over the cameras; 0
+            for tags not in view.
+        jacobians: for each of the P pairs of a frame and a tag in view, the Jacobian H^-1 B_t of the estimated body
+            twist with respect to the tag's error in the map, `(P, 6, 6)`; 0 if the pose is undetermined. The error is
+            that of position (m) and rotation (rad), world frame.
     """
     edges, frames, shown = deployment.edges_of(tag), len(poses), np.asarray(seen.any(axis=0))
     number = np.cumsum(shown).reshape(shown.shape) - 1  # of each pair of a frame and a tag in view

@@ -43,10 +43,10 @@ class Odometry(Checked):
     """Standard deviation of the bias's random walk about each axis, rad/s per root second."""
 
     def measured(self, twists: FloatArray, steps: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Measure twists, `(T - 1, 6)`, rad/s and m/s.
+        """Add random errors and the bias of the gyro to true twists, `(T - 1, 6)`, rad/s and m/s; return the sums.
 
-        For white noise of density q, the integral over h seconds has the variance q^2 h, and the mean over h seconds
-        has the variance q^2 / h.
+        The error of a twist is the mean of white noise over the step: for noise of density q, its variance is q^2 / h
+        in a step of h seconds.
 
         Args:
             twists: true twists, `(T - 1, 6)`.
@@ -183,7 +183,8 @@ class Sensor(Protocol):
             each: function that maps a slow function over jobs, possibly in parallel, see `Each`.
 
         Raises:
-            InputError: the sensor measures in images, but the flight has all landmarks in view.
+            InputError: a flight assumes all landmarks in view (`all_visible`), but the sensor measures in images, where
+                a landmark behind the camera is missing.
         """
 
     def tags(self, deployment: Deployment) -> FloatArray | None:
@@ -192,9 +193,10 @@ class Sensor(Protocol):
 
 @dataclass(frozen=True)
 class Recording:
-    """M detections of K landmarks in S runs of T frames, in the order of `np.nonzero(seen)`.
+    """M detections of landmarks in S runs of T frames, in the order of `np.nonzero(seen)`.
 
-    K is the number of landmarks times the number of cameras.
+    For a rig, every landmark is listed once for each camera, so K is the number of landmarks times the number of
+    cameras.
     """
 
     time: FloatArray
@@ -268,7 +270,8 @@ def record(
         each: function that maps a slow function over jobs, possibly in parallel, see `Each`.
 
     Raises:
-        InputError: the detector measures in images, but a flight has all landmarks in view.
+        InputError: a flight assumes all landmarks in view (`all_visible`), but the detector measures in images, where a
+            landmark behind the camera is missing.
     """
     odometry, time = odometry or Odometry(), flights[0].trajectory.time
     observations = detector.observed(flights, each)
@@ -284,7 +287,10 @@ def record(
 
 
 def check_images(flights: Sequence[Flight]) -> None:
-    """Raise `InputError` if a flight has all landmarks in view; for sensors that measure in images."""
+    """Raise `InputError` if a flight assumes all landmarks in view (`all_visible`); for sensors that measure in images.
+
+    A landmark behind the camera has no image.
+    """
     if any(flight.all_visible for flight in flights):
         raise InputError(
             "all_visible must be false if measurements are not exact: a landmark behind the camera has no image.",

@@ -27,8 +27,8 @@ class PointDetector(Checked):
     """Detector of landmarks that are points; a `lmd.estimation.recording.Sensor`.
 
     For each landmark three numbers are measured, with independent normal errors. Two are the image coordinates of the
-    centre; the third is the apparent length f a / z of the landmark's edge, which gives the depth z. Here f is the
-    focal length, pixels, and a the edge length.
+    centre; the third is the apparent length f a / z of an edge that the landmark is assumed to have, which gives the
+    depth z. Here f is the focal length, pixels, and a the length of this edge.
 
     Raises:
         InputError: a value is out of range.
@@ -165,12 +165,11 @@ class TagDetector(Checked):
 
 
 def noisy_detector(tag: Tag, reader: str, pixel_noise: float, missed: float, edge: float) -> Sensor:
-    """Make a simulated detector: if the landmarks are tags, with the noise of a real detector; if they are points, with
-    constant noise.
+    """Make a simulated detector: for tags, with the noise of a real detector; for points, with constant noise.
 
     Args:
         tag: tag at every landmark.
-        reader: detector of tags, one of `CORNER_ERRORS`, whose errors are drawn.
+        reader: name of the real detector, a key of `CORNER_ERRORS`; its measured errors are simulated.
         pixel_noise: standard deviation of the image coordinates of points, pixels.
         missed: probability that a visible landmark is not detected.
         edge: edge length of landmarks that are points, metres.
@@ -230,8 +229,9 @@ def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[Float
 def _covariance(camera: Camera, edges: FloatArray, turns: FloatArray, centres: FloatArray) -> FloatArray:
     """Covariance of tags' centres in the camera's frame for one pixel of noise at their corners, m^2, `(M, 3, 3)`.
 
-    The covariance is a block of the inverse information on the tag's pose. A change (w, v) of the tag's pose, with w in
-    the tag's frame, moves a corner y = R q + t by -R [q]x w + v.
+    The covariance is a block of the inverse Fisher information about the tag's pose. A corner at q in the tag's frame
+    is at y = R q + t in the camera's frame. A change (w, v) of the tag's pose, with w in the tag's frame, moves the
+    corner by -R (q x w) + v.
     """
     squares = _squares(edges)
     y = centres[:, None] + squares @ np.swapaxes(turns, 1, 2)  # (M, 4, 3)

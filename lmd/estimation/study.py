@@ -46,8 +46,9 @@ class InitialError(Checked):
     """Attitude error, rad."""
 
     def applied(self, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw a first estimate of a camera's pose, `(4, 4)`, which differs from the true `pose` by errors of these
-        sizes in random directions.
+        """Draw a first estimate of a camera's pose, `(4, 4)`.
+
+        It differs from the true `pose` by the position error and the attitude error, in random directions.
         """
         directions = rng.normal(size=(2, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -85,8 +86,10 @@ class Flights:
         return cls(seeds, trajectories, np.stack(start))
 
     def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
-        """Make the S flights with the start deployment of `problem`; if this deployment is random, a new one is drawn
-        for each seed. With `all_visible` every landmark is in view in all frames.
+        """Make the S flights with the deployment from which `problem` starts.
+
+        If this deployment is random, a new one is drawn for each seed. With `all_visible` every landmark is in view in
+        all frames.
         """
         flights = []
         for seed, trajectory in zip(self.seeds, self.trajectories, strict=True):
@@ -109,7 +112,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class FlightStudy:
-    """Outcomes of several deployments."""
+    """Results of equal flights with each of several deployments."""
 
     seeds: Sequence[int]
     """Seeds of the flights."""
@@ -124,14 +127,14 @@ class FlightStudy:
         """Table of the localisation errors, with one row for each deployment, estimator and seed.
 
         Column `mean_visible` is the mean number of detected landmarks, and `share_visible_<n>` the fraction of the time
-        with at least n detected landmarks. `mean_error` is the mean of Er over the whole flight. `available` is the
-        fraction of frames with an estimate. `settling_time` (s) is the time after which Er stays below 1 % of its
-        initial value; infinite if there is no such time or a frame has no estimate. `position_error` (m) and
-        `attitude_error` (rad) are medians over the second half of the flight. `within_<n>mm` is the fraction of frames
-        in the second half with a position error below n mm; frames without an estimate count as larger errors.
-        `nees_joint`, `nees_rotation` and `nees_position` are means, over the second half, of the normalised squared
-        errors divided by their degrees of freedom. The means are about 1 if the stated covariances are right, and NaN
-        if no covariances are stated.
+        with at least n detected landmarks. `mean_error` is the mean over the flight of Er, the squared Frobenius norm
+        of the pose error (`Errors.frobenius`). `available` is the fraction of frames with an estimate. `settling_time`
+        (s) is the time after which Er stays below 1 % of its initial value; infinite if there is no such time or a
+        frame has no estimate. `position_error` (m) and `attitude_error` (rad) are medians over the second half of the
+        flight. `within_<n>mm` is the fraction of frames in the second half with a position error of at most n mm;
+        frames without an estimate count as larger errors. `nees_joint`, `nees_rotation` and `nees_position` are means,
+        over the second half, of the normalised squared errors divided by their degrees of freedom. The means are about
+        1 if the stated covariances are right, and NaN if no covariances are stated.
         """
         rows = []
         for name, outcome in self.outcomes.items():
@@ -173,9 +176,9 @@ class FlightStudy:
     def curves(self) -> pd.DataFrame:
         """Errors over time, in up to `CURVE_WINDOWS` windows: quantiles over the seeds and the frames of a window.
 
-        Columns: `deployment`, `estimator`, `time` (s, middle of the window). Each of the errors `error` (Er),
-        `position` (m) and `attitude` (rad) has the columns `_low`, `_median` and `_high`: the 10, 50 and 90 % quantile,
-        NaN without an estimate.
+        Columns: `deployment`, `estimator`, `time` (s, middle of the window). Each of the errors `error` (Er, see
+        `Errors.frobenius`), `position` (m) and `attitude` (rad) has three columns, with the suffixes `_low`, `_median`
+        and `_high`: the 10, 50 and 90 % quantiles, NaN without an estimate.
         """
         windows = np.array_split(np.arange(len(self.time)), min(CURVE_WINDOWS, len(self.time)))
         time = [float(self.time[window].mean()) for window in windows]

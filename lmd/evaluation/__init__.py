@@ -22,4 +22,4 @@ class Study(Protocol):
         """Metrics, keyed by name; all values are finite."""
 
     def to_text(self) -> str:
-        """Text for a terminal."""
+        """Results of the study as text for a terminal."""

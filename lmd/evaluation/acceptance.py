@@ -1,15 +1,18 @@
-"""Acceptance of a map after its tags were hung: a choice of few stations whose measurement reveals a tag that hangs
-wrongly, and the verdict on the measured stations.
+"""Acceptance of a map after its tags were hung: stations are chosen, measured, and tested for wrongly hung tags.
 
-A station is a pose of the camera or of the rig's body. At S stations a person measures the position by tape, and
-localisation reports it from one image. Let m `(6 K,)` be the errors in position and rotation of the K tags of the map.
-To first order the differences d `(3 S,)` between the reported and the taped positions are
+A station is a pose of the camera or of the rig's body. At each of S stations a person measures the position with a tape
+measure, and localisation estimates it from one image. A tag that hangs wrongly makes the two differ.
 
-    d = A m + n.    In a map without wrong tags (a right map), d has the covariance C = A P A^T + N.
+Let m `(6 K,)` be the errors in position and rotation of the K tags of the map. To first order the differences d
+`(3 S,)` between the estimated and the tape-measured positions are
+
+    d = A m + n.
+
+In a map without wrong tags (a right map), d has the covariance C = A P A^T + N.
 
 - A `(3 S, 6 K)` is the Jacobian of the estimated positions, see `lmd.estimation.pose_covariance`.
 - P is the covariance of m in a right map: the errors that remain after hanging the tags or after a survey.
-- N is the covariance of n, the effect of the errors of corners in the images and of the tape.
+- N is the covariance of n, the effect of the errors of corners in the images, and of the errors of the tape measure.
 
 If tag k hangs wrongly by s `(2,)`, right and up in its plane, B_k s is added to the mean of d. B_k `(3 S, 2)` has the
 columns of A for these directions. With the information F_k = B_k^T C^-1 B_k, the estimated shift is s_k = F_k^-1 B_k^T
@@ -19,8 +22,13 @@ distribution with two degrees of freedom, otherwise a noncentral one with the no
 The K tests of the tags share half of the rate of false alarms equally (Bonferroni). The S tests of the stations, d_s^T
 C_ss^-1 d_s with three degrees of freedom, share the other half.
 
-Stations are chosen greedily. Let G be the sum of A_s^T N_s^-1 A_s over the chosen stations, and R = (I + P G)^-1. Then
-A^T C^-1 A is G R, and station c adds (A_c R)^T (N_c + A_c R P A_c^T)^-1 A_c R to this matrix.
+Stations are chosen greedily. A score counts how well the chosen stations reveal each tag: it is the noncentrality if
+the tag hangs wrongly by a given distance in the worst direction, divided by the noncentrality that its test needs, and
+at most 1. Each step adds the station that most raises the sum of the scores of all tags.
+
+The scores need F_k, and so A^T C^-1 A, for every candidate. Let G be the sum of A_s^T N_s^-1 A_s over the chosen
+stations, and R = (I + P G)^-1. Then A^T C^-1 A is G R, and station c adds (A_c R)^T (N_c + A_c R P A_c^T)^-1 A_c R to
+this matrix.
 """
 
 from dataclasses import dataclass
@@ -119,7 +127,7 @@ class HungMap:
         return float(chi2.isf(self.settings.alarm / 2.0 / len(self.tags), 2))
 
     def views(self, stations: FloatArray, read: BoolArray | bool = True) -> tuple[Any, ...]:
-        """Predict the localisation at stations.
+        """Predict the errors of localisation at stations.
 
         Args:
             stations: position (m) and heading (degrees) of each station, the columns `PLACE`, `(S, 4)`.
@@ -128,12 +136,13 @@ class HungMap:
         Returns:
             shown: mask of the tags that are in view and read, `(S, K)`.
             slopes: Jacobian A_s of the position at each station with respect to the errors of all tags, `(S, 3, 6 K)`.
-            noise: covariance N_s of the position due to the errors of corners and of the tape, `(S, 3, 3)`; infinite
-                without a pose.
-            right: covariance of the position if no tag hangs wrongly, `(S, 3, 3)`.
-            bounds: bounds on the errors of position (m) and heading (degrees) if no tag hangs wrongly, `(2, S)`. The
-                distribution of the squared position error is approximated by a scaled chi-square distribution of equal
-                mean and variance.
+            noise: covariance N_s of the position due to the errors of corners and of the tape measure, `(S, 3, 3)`;
+                infinite if the tags in view do not determine a pose.
+            right: covariance of the difference between the estimated and the tape-measured position if no tag hangs
+                wrongly, `(S, 3, 3)`.
+            bounds: bounds that the errors of position (m) and heading (degrees) keep with the probability `BOUND` if no
+                tag hangs wrongly, `(2, S)`. The distribution of the squared position error is approximated by a scaled
+                chi-square distribution of equal mean and variance.
         """
         scene, settings = self.problem.scene, self.settings
         poses = camera_pose(stations[:, :3], np.radians(stations[:, 3]), settings.pitch)
@@ -152,9 +161,10 @@ class HungMap:
         return shown, slopes[:, :3], noise[:, :3, :3], right, bounds
 
     def report(self, seed: int) -> tuple[dict[str, Any], dict[str, float], str]:
-        """Files (keyed by their names), metrics and text of the study. If measured stations are given, these are the
-        results of `judged`. Otherwise the files are the tables of stations and tags that `chosen` makes with the
-        `seed`, and a page to print; there are no metrics.
+        """Results of the acceptance: files (keyed by their names), metrics, and text for a terminal.
+
+        If measured stations are given, the map is judged, see `judged`. Otherwise stations are chosen with the random
+        `seed`, see `chosen`: the files are the tables of stations and tags, and a page to print; there are no metrics.
         """
         if self.settings.measured is not None:
             return self.judged(self.settings.measured)
@@ -166,19 +176,19 @@ class HungMap:
         return {"stations.csv": stations, "stations_tags.csv": shown, "stations.pdf": page}, {}, text
 
     def chosen(self, seed: int) -> tuple[pd.DataFrame, pd.DataFrame]:
-        """Choose stations among the positions and headings of the grid. If these are too many, `seed` draws the
-        candidates from them.
+        """Choose stations to measure. Candidates are the positions of the room's grid, each with several headings; if
+        there are more than `MOST_CANDIDATES`, this number is drawn with the random `seed`.
 
         Returns:
             stations: table with a row for each station. The columns are name, zone, position (m), heading (degrees),
-                the reported position (empty), ids of the tags in view, and bounds on the errors of position (m) and
-                heading (degrees).
+                the position estimated by localisation (empty), ids of the tags in view, and bounds on the errors of
+                position (m) and heading (degrees).
             tags: table with the number of stations that see each tag. Another column has the least shift, in the worst
                 direction, that these stations reveal with the probability `Acceptance.power` (m; NaN for a tag that no
                 station sees).
 
         Raises:
-            InputError: at every candidate, the bound on the position error exceeds `mean`.
+            InputError: no candidate has a bound on the position error of at most `Acceptance.mean`.
         """
         settings, grid = self.settings, self.problem.scene.room.grid()
         every = np.array([[*at, 360.0 / settings.headings * i] for at in grid for i in range(settings.headings)])
@@ -200,9 +210,10 @@ class HungMap:
         return stations, pd.DataFrame({"id": self.tags.ids, "stations": seen.sum(axis=0), "least_shift": least})
 
     def _reached(self, information: FloatArray) -> FloatArray:
-        """Noncentrality of the test of a tag that is shifted by `Acceptance.shift` in the worst direction, divided by
-        the noncentrality needed for the stated power, `(...)`. `information` has the Fisher information F about the
-        shift of each tag, `(..., 2, 2)`.
+        """Score of each tag: the noncentrality of its test divided by the noncentrality that the test needs, `(...)`.
+
+        The tag is shifted by `Acceptance.shift` in the worst direction, and the test needs the power
+        `Acceptance.power`. `information` has the Fisher information F about the shift of each tag, `(..., 2, 2)`.
         """
         needed = chndtrinc(self.limit, 2, 1.0 - self.settings.power)
         return np.asarray(self.settings.shift**2 / needed * np.linalg.eigvalsh(information)[..., 0])
@@ -217,8 +228,11 @@ class HungMap:
         return diagonal_blocks(weighted @ ours @ self.along, 2), weighted
 
     def _fewest(self, slopes: FloatArray, noise: FloatArray) -> list[int]:
-        """Indices of the stations chosen greedily among candidates; `slopes` and `noise` are the candidates' matrices
-        A_s `(S, 3, 6 K)` and N_s `(S, 3, 3)`, see `views`.
+        """Choose stations greedily: each step adds the candidate that most raises the sum of all tags' scores.
+
+        Scores are those of `_reached`; in the sum, a score above 1 counts as 1. `slopes` and `noise` are the
+        candidates' matrices A_s `(S, 3, 6 K)` and N_s `(S, 3, 3)`, see `views`. Returns the indices of the chosen
+        candidates.
         """
         chosen, reached, total = list[int](), 0.0, np.zeros_like(self.spread)
         while True:
@@ -237,21 +251,21 @@ class HungMap:
         """Decide from measured stations whether the map is accepted.
 
         Args:
-            path: CSV of the stations. The columns `station,zone,x,y,z,yaw_deg` are as taped (m, degrees). The columns
-                `reported_x,reported_y,reported_z` (m) and `tags`, the ids of the tags that were read, are as reported
-                by localisation. Other columns are ignored.
+            path: CSV of the stations. The columns `station,zone,x,y,z,yaw_deg` have the poses measured with a tape
+                measure (m, degrees). Localisation gives the columns `reported_x,reported_y,reported_z` (m), and `tags`,
+                the ids of the tags that were read. Other columns are ignored.
 
         Returns:
             files: tables and figures, keyed by the name of their file. `acceptance.csv` has a row for each station:
                 name, zone, error and its bound (m), `chi_square` and its `limit`, `passed`. `acceptance_zones.csv` has
                 the number of stations, mean and largest error (m), `passed`. `acceptance_tags.csv` has the estimated
-                shift of each tag to the `right` and `up` in its plane (m), the likelihood `ratio`, and `named` for tags
-                that may explain the differences.
+                shift of each tag to the `right` and `up` in its plane (m), the likelihood `ratio`, and `named`: true
+                for tags whose shift may explain the differences.
             figures: metrics, with `passed` as 0 or 1.
             text: text for a terminal.
 
         Raises:
-            InputError: the file is not such a table, or localisation cannot be predicted at a station.
+            InputError: the file is not such a table, or a station is outside the room or shows too few tags.
         """
         settings, table = self.settings, read_table(path, name="measured")
         numbers = table.numbers([*PLACE, *REPORTED], None)

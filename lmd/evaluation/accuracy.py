@@ -1,9 +1,9 @@
-"""Predicted accuracy of the position from one image, for every view of a deployment and any objective.
+"""Predicted accuracy of the position that is estimated from one image; available for every objective.
 
 The prediction is the standard deviation of the camera's position, computed by `lmd.objectives.localisation`. The
 prediction is infinite for views that cover fewer than n landmarks, and for views of a single tag if two camera poses
-fit the image about equally well. All results are for poses off the grid: positions are random, and orientations are
-drawn from the PDF's continuous distribution.
+fit the image about equally well. The metrics are for poses off the grid: positions are random, and orientations are
+drawn from the PDF's continuous distribution. Maps and plans show the positions of the grid.
 """
 
 from dataclasses import replace

@@ -104,7 +104,7 @@ class Audit:
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Tables, keyed by file name."""
+        """Tables of the tags in bins of pitch, in bins of incidence angle, and one by one; keyed by file name."""
         return {
             "audit_pitches": by_pitch(self.prediction, self.seen),
             "audit_incidences": by_incidence(self.prediction, self.seen),
@@ -124,7 +124,7 @@ class Audit:
         return {f"audit/{name}": float(value) for name, value in figures.items() if np.isfinite(value)}
 
     def to_text(self) -> str:
-        """Lines for a terminal."""
+        """Summary for a terminal: the metrics, and the tags that stand out."""
         figures = self.metrics()
         head = (
             f"audit       {figures['audit/predicted']:.2f} tags per frame predicted, {figures['audit/detected']:.2f} "
@@ -221,7 +221,7 @@ def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Spac
     """Columns of `in_view.csv`: a row for each image and each tag that faces the camera and has all four corners in the
     image.
 
-    Tags that overlap in the image, and tags hidden by the room, are left out. See `lmd.detection.tag_views`.
+    Tags that overlap another tag on the wall, and tags hidden by the room, are left out. See `lmd.detection.tag_views`.
 
     Args:
         survey: the survey.
@@ -247,14 +247,17 @@ def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Spac
 def _in_images(
     renderer: Renderer, poses: FloatArray, taken: BoolArray, room: Space | None
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """M pairs of an image and a tag in view: indices of the images and of the tags, `(M,)` each, and the values of the
-    columns `u` to `circle` of `in_view.csv`, `(M, 8)`.
+    """Find the M pairs of an image and a tag in view in it.
 
     Args:
         renderer: renderer of one camera and the tags.
-        poses: poses of the camera, one for each image, `(N, 4, 4)`.
-        taken: True for images that were taken, `(N,)`.
+        poses: poses of the camera in N frames of a survey, `(N, 4, 4)`.
+        taken: mask of the frames in which this camera took an image, `(N,)`; in a rig, a camera may lack some.
         room: the room; None if unknown.
+
+    Returns:
+        indices of the frames, and of the tags, `(M,)` each; and the values of the columns `u` to `circle` of
+        `in_view.csv` for each pair, `(M, 8)`.
     """
     tags = renderer.room
     pitch, incidence, edge, _ = qualities(renderer, poses)

@@ -1,11 +1,15 @@
 """Upper bounds on the fitness of any deployment, from a concave relaxation of the problem and the dual of this
 relaxation.
 
+The objective is P_n, the probability that a view covers n landmarks. The fitness is the average of P_n over the
+positions, or the fraction of qualified positions, where P_n reaches a threshold thold_p.
+
 Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K). A_jpa is 1 if a landmark
-with pose j is covered at position p and axis a, without occlusion, else 0. Let c_pa = sum_j x_j A_jpa, let w_a be the
-probability of an axis (sum 1), and r_p the share of a position (sum 1). Occlusion only lowers c, and the indicator (0
-or 1) of c >= n is at most min(c/n, 1). So P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and the indicator (0 or 1) that p
-is qualified is at most min(s_p/t, 1) with t = thold_p. Both objectives are therefore at most
+with pose j is covered at position p and axis (orientation) a, without occlusion, else 0. Let c_pa = sum_j x_j A_jpa,
+let w_a be the probability of an axis (sum 1), and r_p the weight of a position in the fitness (sum 1). Occlusion only
+lowers c, and the indicator (0 or 1) of c >= n is at most min(c/n, 1). So P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and
+the indicator (0 or 1) that p is qualified is at most min(s_p/t, 1) with t = thold_p. Both kinds of fitness are
+therefore at most
 
     F(x) = sum_p r_p min(s_p / t, 1),        with t = 1 for the average of P_n (there s_p <= 1 anyway).
 
@@ -120,8 +124,9 @@ class UpperBound:
 
 
 def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
-    """Upper bound on the mean of P_n, the probability that a view covers n landmarks, that `count` landmarks can reach;
-    the mean is over the grid positions, with equal weights.
+    """Upper bound on the mean of P_n that `count` landmarks can reach.
+
+    P_n is the probability that a view covers n landmarks. The mean is over the grid positions, with equal weights.
     """
     size = len(problem.evaluator.positions)
     shares, n = np.full(size, 1.0 / size), _at_most_coverage(problem).n
@@ -144,12 +149,12 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
 
 
 def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
-    """Lower bound on the number of landmarks with which a deployment can reach the fitness `target`, at least the
-    number of fixed landmarks plus one.
+    """Lower bound on the number of landmarks with which a deployment can reach the fitness `target`.
 
-    For any multipliers of the bound, the fitness is at most a linear function of the number K of landmarks. The search
-    starts with a K that is too small, and goes to the K at which this function reaches the target. By concavity the new
-    K is again a lower bound. The search ends when the bound on the fitness with K landmarks reaches the target.
+    The bound exceeds the number of fixed landmarks. For any multipliers of the bound, the fitness is at most a linear
+    function of the number K of landmarks. The search starts with a K that is too small, and goes to the K at which this
+    function reaches the target. By concavity the new K is again a lower bound. The search ends when the bound on the
+    fitness with K landmarks reaches the target.
 
     Raises:
         InputError: even `MOST_LANDMARKS` landmarks do not reach the target, or tags have several sizes.
@@ -293,8 +298,8 @@ def selection_upper_bound(
     """Upper bound on the objective's surrogate (`selection`) for `count` landmarks, including fixed landmarks, chosen
     from a grid of poses.
 
-    The surrogate counts the views that the problem's fitness counts. The greedy choice keeps footprints apart; the
-    bound also holds for overlapping footprints. The result does not depend on the number of threads.
+    The surrogate refers to the same poses of the camera as the problem's fitness. The greedy choice keeps footprints
+    apart; the bound also holds for overlapping footprints. The result does not depend on the number of threads.
 
     Args:
         problem: the problem.

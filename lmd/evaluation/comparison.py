@@ -171,8 +171,8 @@ def attainable(least: Callable[[int], float], seeds: int) -> str:
     """Sentence that states the least P-value that a test can reach with the given number of seeds.
 
     Args:
-        least: function that returns the least corrected P-value of the test for a number of seeds; the least value
-            results if the optimisers have the same ranks in all seeds. The function returns NaN for too few seeds.
+        least: function that returns the least corrected P-value that the test can give for a number of seeds (all seeds
+            then rank the optimisers alike); NaN for too few seeds.
         seeds: number of seeds.
     """
     lowest, runs = least(seeds), f"With {seeds} seed{'s' * (seeds != 1)}"

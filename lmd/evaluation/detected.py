@@ -61,8 +61,8 @@ class Rendered:
         """Predict the sightings of a problem's deployment from random poses.
 
         Args:
-            problem: the problem; its tags may be points.
-            tag: tag that is rendered.
+            problem: the problem; its landmarks may be points.
+            tag: tag that is rendered at every landmark.
             imaging: optics and sensor with which images are rendered.
             detectors: detectors, keyed by name.
             frames: number of poses.

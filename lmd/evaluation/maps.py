@@ -101,7 +101,7 @@ def named_figures(*tables: pd.DataFrame) -> dict[str, float]:
 
 
 def percent_text(figures: pd.DataFrame) -> str:
-    """Table of shares as text for a terminal, in per cent; the names of metrics are replaced by their labels."""
+    """Table of fractions as text for a terminal, in per cent; the names of metrics are replaced by their labels."""
     named = figures.rename(index=_label, columns=_label)
     return named.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
 

@@ -165,7 +165,7 @@ class Mounted:
         return named_figures(self.table.drop(columns="planned"), error_quantiles(self.views))
 
     def to_text(self) -> str:
-        """Text for a terminal."""
+        """Text for a terminal: the mounting errors, the metrics, and the pose errors."""
         error = self.error
         head = (
             f"as mounted: tags off by {1e3 * error.position:g} mm along their surface, turned by "
@@ -288,7 +288,7 @@ class Measured:
         return named_figures(self.figures, error_quantiles(self.views), off)
 
     def to_text(self) -> str:
-        """Text for a terminal."""
+        """Text for a terminal: the distances between planned and measured tags, the metrics, and the pose errors."""
         far, most = self.moved.head(TAGS_LISTED), self.moved.tilted.max()
         listed = ", ".join(f"{i} ({1e3 * away:.1f})" for i, away in zip(far["id"], far.moved, strict=True))
         head = (

@@ -106,17 +106,18 @@ class Relaxation:
 
     @property
     def weights(self) -> FloatArray:
-        """Probability w of each axis, `(1, D)` or `(P, D)`."""
+        """Probability w of each camera orientation (axis), `(1, D)`; `(P, D)` if it depends on the position."""
         return self.evaluator.probability
 
     @cached_property
     def fixed_coverage(self) -> FloatArray | float:
-        """Number b of fixed landmarks that are covered at each position and axis, `(P, D)`; 0 if none is fixed."""
+        """Number b of fixed landmarks that are covered at each position and camera orientation (axis), `(P, D)`."""
         return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
 
     def value(self, added: FloatArray) -> float:
-        """Value of F, given the number of free landmarks that are covered at each position and axis, `added` = c - b,
-        `(P, D)`.
+        """Value of F for given numbers of covered free landmarks.
+
+        `added` = c - b is the number at each position and camera orientation (axis), `(P, D)`.
         """
         seen = averaged(np.minimum((added + self.fixed_coverage) / self.n, 1.0), self.weights)
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
@@ -216,7 +217,9 @@ def solve(
 def largest_gain(
     evaluator: Evaluator, cells: Cells, prices: FloatArray, tolerance: float, limit: TimeLimit | None = None
 ) -> float:
-    """Bound the gain of a flush landmark anywhere in the given cells of the walls, by branch and bound.
+    """Upper bound on the gain of a flush landmark anywhere in the given cells of the walls, by branch and bound.
+
+    The gain of a landmark is the sum of the multipliers y over the positions and axes at which it is covered.
 
     Args:
         evaluator: scene with landmarks of one size.

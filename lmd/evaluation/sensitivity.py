@@ -74,35 +74,33 @@ class RigViews:
         return np.stack([found, covers(seen, self.n)])
 
     def without_cameras(self) -> FloatArray:
-        """Means of L (the rig is localised) and P_n (the view covers n landmarks) if one of the C cameras fails,
-        `(C, 2)`.
-        """
+        """Fractions of localised views and of views that cover n landmarks, `(C, 2)`, if one of the C cameras fails."""
         seen, others = self.images.seen, ~np.eye(len(self.images.seen), dtype=bool)[..., None, None]
         return np.array([self.decided(self.images, seen & left) @ self.share for left in others])
 
     def missed(self, probabilities: Sequence[float], rng: np.random.Generator) -> FloatArray:
-        """Means of L (the rig is localised) and P_n (the view covers n landmarks), `(M, 2)`, if each landmark in an
-        image is missed with one of M `probabilities`.
+        """Fractions of localised views and of views that cover n landmarks, `(M, 2)`, if landmarks are missed.
 
-        All probabilities share the draw, so that a landmark missed at one probability is missed at all greater
-        probabilities.
+        Each landmark in an image is missed with one of M `probabilities`. All probabilities share the draw, so that a
+        landmark missed at one probability is missed at all greater probabilities.
         """
         seen = self.images.seen
         draw = rng.random(seen.shape, dtype=np.float32)
         return np.array([self.decided(self.images, seen & (draw >= p)) @ self.share for p in probabilities])
 
     def lost(self) -> FloatArray:
-        """Means of L (the rig is localised) and P_n (the view covers n landmarks) if landmarks i and j are lost,
-        `(2, K, K)`; on the diagonal, only landmark i is lost. A lost landmark is not detected, but still hides other
-        landmarks.
+        """Fractions of localised views and of views that cover n landmarks, `(2, K, K)`, if landmarks i and j are lost.
+
+        On the diagonal, only landmark i is lost. A lost landmark is not detected, but still hides other landmarks.
         """
         seen, share = self.images.seen, self.share
         shown = np.asarray(seen.any(axis=0))  # (N, K)
         whole, count = self.decided(self.images, seen).astype(np.float64), seen.shape[2]
 
         def lose(*landmarks: int) -> FloatArray:
-            """Change of both masks of `decided` if all of `landmarks` are lost, times the probability of each view,
-            `(2, N)`. The change is 0 in views that do not show all of `landmarks`.
+            """Contribution of each view to the change of both fractions if all of `landmarks` are lost, `(2, N)`.
+
+            The change is 0 in views that do not show all of `landmarks`.
             """
             which: BoolArray = np.asarray(shown[:, landmarks].all(axis=1))
             left = seen[:, which]
@@ -233,8 +231,10 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 
 
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
-    """Make the table `Sensitivity.cameras`. `failed` has the shares if one of C cameras fails, `(C, 2)`, `whole` the
-    shares with all cameras, `(2,)`.
+    """Make the table `Sensitivity.cameras` of the failures of a rig's cameras.
+
+    The columns of both arguments are the fractions of localised views and of views that cover n landmarks: in `failed`
+    `(C, 2)` if one of C cameras fails, in `whole` `(2,)` with all cameras.
     """
     table = pd.DataFrame(failed, columns=SHARE_COLUMNS).rename_axis("camera").reset_index()
     return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
@@ -270,14 +270,12 @@ def _measure(
     seed: int,
     group: tuple[int, Evaluator],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Measure the means of L and P_n, the probabilities of localised and of covered views, in one group of random
-    poses.
+    """Measure the fractions of localised views and of views that cover n landmarks, in one group of random poses.
 
     Returns:
-        four arrays, each with the two means. The first has the means for each of V variants, `(V, 2)`; the second, for
-        each of M probabilities of missing a landmark, `(M, 2)`; the third, for the loss of landmarks i and j,
-        `(2, K, K)`; the fourth, for the failure of each of C cameras of a rig, `(C, 2)`, where C = 0 for a single
-        camera.
+        four arrays of these two fractions. The first has the fractions for each of V variants, `(V, 2)`; the second,
+        for each of M probabilities of missing a landmark, `(M, 2)`; the third, for the loss of landmarks i and j, `(2,
+        K, K)`; the fourth, for the failure of each of C cameras of a rig, `(C, 2)`, where C = 0 for a single camera.
     """
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])
@@ -296,8 +294,9 @@ def _measure(
 
 
 def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
-    """Means of L (the view localises the camera) and P_n (the view covers n landmarks) of a variant, at the positions
-    and orientations of an evaluator; NaN if the variant has a note.
+    """Fractions of localised views and of views that cover n landmarks, for one variant of the problem.
+
+    The views are those of the evaluator. The fractions are NaN if the variant has a note.
     """
     if variant.note:
         return np.nan, np.nan
@@ -309,8 +308,9 @@ def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
 
 
 def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
-    """Means of L (the view localises the camera) and P_n (the view covers n landmarks) if landmarks i and j are lost,
-    `(2, K, K)`; for i = j, only landmark i is lost.
+    """Fractions of localised views and of views that cover n landmarks, `(2, K, K)`, if landmarks i and j are lost.
+
+    On the diagonal, only landmark i is lost.
     """
     mean = Mean(in_order(field, np.ones(len(field.index_of))))
     shares = field._replace(weight=0.0), field.coverage
@@ -318,12 +318,13 @@ def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
 
 
 def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.random.Generator) -> FloatArray:
-    """Means of L (the view localises the camera) and P_n (the view covers n landmarks) if each covered landmark is
-    missed with one of the M probabilities `MISS_PROBABILITIES`.
+    """Fractions of localised views and of views that cover n landmarks, if covered landmarks are missed at random.
 
-    L is estimated by one draw for every landmark in every view. All probabilities share the draw, so that a landmark
-    missed at one probability is missed at all greater probabilities. The mean of P_n is exact, as the number of
-    detected landmarks is binomial. Missed landmarks still hide other landmarks.
+    Each landmark is missed with one of the M probabilities `MISS_PROBABILITIES`.
+
+    The first fraction is estimated by one draw for every landmark in every view. All probabilities share the draw, so
+    that a landmark missed at one probability is missed at all greater probabilities. The second fraction is exact, as
+    the number of detected landmarks is binomial. Missed landmarks still hide other landmarks.
 
     Args:
         field: incremental evaluator with positions and orientations.
@@ -331,7 +332,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
         rng: source of the draws.
 
     Returns:
-        `(M, 3)`: the mean of L, the exact mean of P_n, and the mean of P_n in the draw.
+        `(M, 3)`: the two fractions, and the second fraction as estimated by the draw.
     """
     cover, rows = field.coverage, []
     known, places = cover.state(deployment), field.index_of
@@ -350,8 +351,11 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
 
 
 def _worst(lost: int, share: str, losses: FloatArray, ids: IntArray) -> dict[str, object]:
-    """Make a row of `Sensitivity.lost`: `lost` is the number of lost landmarks, 1 or 2, and `losses` `(K, K)` the
-    decreases of the share named `share`.
+    """Make a row of `Sensitivity.lost`: the mean and the greatest decrease of the share named `share` if landmarks are
+    lost.
+
+    `lost` is the number of lost landmarks, 1 or 2. `losses` `(K, K)` has the decrease for the loss of landmarks i and
+    j, and `ids` the ids of the landmarks.
     """
     chosen = list(combinations(range(len(losses)), lost))
     values = np.array([losses[group[0], group[-1]] for group in chosen])

@@ -140,7 +140,10 @@ def tournament(runs: Sequence[OptimiserRun], key: str) -> Tournament:
 
 
 def _lead(own: pd.DataFrame) -> float:
-    """P-value of the hypothesis that the two optimisers with the greatest medians on a problem perform equally."""
+    """P-value of the hypothesis that the two optimisers with the greatest medians on a problem perform equally.
+
+    `own` is the table of the runs on this problem, with the optimiser `name` and the metric `y`.
+    """
     medians = own.groupby("name").y.median().sort_values(ascending=False, kind="stable")
     best = [own.y[own.name == name] for name in medians.index[:2]]
     return mann_whitney(*best) if len(best) == 2 else np.nan

@@ -5,7 +5,7 @@ The deployment for K landmarks is the best result of three searches. The first s
 problem. The second begins from the deployment for the next smaller number, after adding landmarks with the largest
 gain. The third begins from the deployment for the next larger number, after removing landmarks with the least loss.
 
-In such a deployment all tags have one size.
+All tags of a deployment have one size here.
 """
 
 from collections.abc import Callable, Iterable, Mapping

@@ -198,11 +198,12 @@ def uncertainty(
 
 
 def level_deviations(covariances: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Convert covariances of (p, r) in the world frame, `(V, 6, 6)`, to the standard deviations `SDS` of V views, `(V,
-    6)`; NaN where a covariance is infinite.
+    """Convert covariances of pose errors to the standard deviations `SDS` of V views, `(V, 6)`; NaN for infinite
+    covariances.
 
     Args:
-        covariances: m^2 and rad^2; infinite if there is no pose.
+        covariances: covariances of position and rotation, world frame, m^2 and rad^2, `(V, 6, 6)`; infinite if there is
+            no pose.
         yaw: heading of the level body, clockwise from the y axis, rad, `(V,)`.
     """
     sine, cosine, zero = np.sin(yaw), np.cos(yaw), np.zeros_like(yaw)

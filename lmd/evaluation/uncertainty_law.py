@@ -141,7 +141,7 @@ def _steps(distance: FloatArray) -> FloatArray:
 
 
 def _table(found: Uncertainty) -> "pd.DataFrame":
-    """Make the table `UncertaintyLaw.table`."""
+    """Standard deviations in bins of distance and number of tags, as the table `UncertaintyLaw.table`."""
     import pandas as pd
 
     seen = found.views[found.views.pose != NONE]

@@ -1,7 +1,8 @@
 """Validation: metrics of a deployment at poses off the grid on which it was optimised.
 
-An optimiser lifts values just above the threshold, but only at the positions and orientations that it evaluates. So
-the qualified ratio on that grid is biased upwards. Three metrics use other positions and orientations:
+A position is qualified if the value of the objective there reaches a threshold. An optimiser lifts values just above
+the threshold, but only at the positions and orientations of its grid. So the qualified ratio, the fraction of qualified
+positions, is biased upwards on this grid. Three metrics use other positions and orientations:
 
 - the qualified ratio on a finer grid, with half the spacing and half the step of the orientations. This ratio is not
   estimated from a sample, so it has no standard error.
@@ -59,9 +60,9 @@ class Sample(Checked):
 
     The positions of a group are spread evenly, from a random shift. All positions of a group have the same
     orientations: one in each of 2 `divisions` x `divisions` cells of equal probability, fewer for a PDF of the yaw
-    alone. With thousands of orientations P_n is unbiased, and its noise moves as many positions above the threshold as
-    below. Each group has its own shift and orientations, so errors average out, and the spread of the groups gives the
-    standard error.
+    alone. With thousands of orientations the coverage probability P_n is unbiased, and its noise lifts as many
+    positions above the threshold of qualified positions as it drops below. Each group has its own shift and
+    orientations, so errors average out, and the differences between groups give the standard error.
 
     Raises:
         InputError: a number is too small.
@@ -84,9 +85,9 @@ def validation_metrics(
 ) -> dict[str, float]:
     """Metrics of a deployment off the grid, fractions in [0, 1]; they do not depend on the number of threads.
 
-    The metrics are means over positions of the objective's `shares`: of the headline share on the finer grid, and of
-    all shares at random poses (grid-free). Standard errors come from the spread of the groups, which have different
-    positions and orientations. If the problem has recorded poses, the metrics are those of `held_out_metrics`.
+    A share is a metric that is a mean over positions (`Objective.shares`). The main share (headline) is computed on the
+    finer grid, and all shares at random poses (grid-free). Standard errors come from the differences between groups of
+    random poses. If the problem has recorded poses, the metrics are those of `held_out_metrics`.
 
     Args:
         problem: the problem.
@@ -249,8 +250,9 @@ def describe_held_out(figures: Mapping[str, float]) -> dict[str, str]:
 
 
 def exact_values(problem: Problem, deployment: Deployment, records: "Records") -> FloatArray:
-    """Value of the objective at each of R recorded poses, where only the recorded orientation counts, `(R,)`; with a
-    crowd, the mean over its states.
+    """Value of the objective at each of R recorded poses, `(R,)`; with a crowd, the mean over its states.
+
+    Only the recorded orientation counts at each recorded position.
     """
     landmarks = deployment.positions[None], deployment.normals[None]
     every = (recorded_evaluators(problem, deployment, records, state) for state in range(problem.state_count))
@@ -261,8 +263,10 @@ def exact_values(problem: Problem, deployment: Deployment, records: "Records") -
 def recorded_evaluators(
     problem: Problem, deployment: Deployment, records: "Records", state: int = 0
 ) -> Iterator[Evaluator]:
-    """Yield an evaluator for each group of up to 64 recorded poses, the number of bits in a word of the evaluator's bit
-    masks. At each recorded position, the recorded orientation has the probability 1.
+    """Yield an evaluator for each group of up to 64 recorded poses.
+
+    The evaluator's bit masks consist of words of 64 bits. At each recorded position, the recorded orientation has the
+    probability 1.
 
     Args:
         problem: problem with the scene.
@@ -281,8 +285,9 @@ def recorded_evaluators(
 
 
 def _share_and_error(values: FloatArray, records: "Records") -> tuple[float, float | None]:
-    """Mean of the values over the recorded time, and the standard error of the mean, computed from the residuals of
-    blocks of time; the error is None for a single block.
+    """Mean of `values`, one for each recorded pose, over the recorded time; and the standard error of this mean.
+
+    The error is computed from the residuals of blocks of time; it is None for a single block.
     """
     seconds, good = records.seconds, records.seconds * values
     share = good.sum() / seconds.sum()

@@ -55,9 +55,11 @@ def verdicts(
 def _verdicts_of(
     scene: Scene, camera: Camera, deployment: Deployment, position: FloatArray, axes: FloatArray
 ) -> dict[str, BoolArray]:
-    """For each criterion, keyed by name, the mask of the landmarks that meet it, `(A, K)`, seen from one camera
-    position in A orientations. `axes` `(A, 6)` are the orientations. The criteria are those of the model, of the room
-    if it has obstacles, and of the crowd if the scene has a single crowd state.
+    """For each criterion, keyed by name, the mask of the landmarks that meet it, `(A, K)`, for A camera orientations.
+
+    The camera is at `position`. `axes` `(A, 6)` has the optical axis and the direction to the right in the image, unit
+    vectors in the world frame. The criteria are those of the model, of the room if it has obstacles, and of the crowd
+    if the scene has a single crowd state.
     """
     landmarks = deployment.positions, deployment.normals
     found = dict(scene.visibility.verdicts(camera, position, axes, *landmarks))  # type: ignore[attr-defined]
@@ -87,7 +89,9 @@ class Causes:
     """Text of the limits of each criterion, keyed by the criterion's name."""
 
     def metrics(self) -> dict[str, float]:
-        """Metrics keyed by names such as `focus_met` and `covered_without_focus`."""
+        """Shares of sightings: `covered`, and for each criterion, such as `focus`, `focus_met` and
+        `covered_without_focus`.
+        """
         met = {f"{name}_met": share for name, share in self.met.items()}
         return {"covered": self.covered} | met | {f"covered_without_{name}": x for name, x in self.without.items()}
 

@@ -19,7 +19,7 @@ from lmd.space.space import Space
 
 
 def all_formats() -> dict[str, Writer]:
-    """Writers of all output formats, keyed by name, including formats of other packages."""
+    """Writers of all output formats, keyed by the format's name; plugins of other packages may add formats."""
     printed = {
         "plan": Writer("plan.pdf", write_plan, on_paper=True),
         "sheets": Writer("sheets.pdf", write_sheets, on_paper=True),
@@ -52,9 +52,9 @@ def not_printed() -> dict[str, str]:
 
 
 def one_edge(edges: Sequence[float]) -> str:
-    """Reason why a format with one edge length for all tags cannot hold tags of several edge lengths, as a clause.
+    """Text, a clause without a full stop, that says why a format with one edge length cannot hold the tags.
 
-    `edges` are the edge lengths, metres. The clause has no full stop.
+    `edges` are the edge lengths of the tags, metres.
     """
     return f"it holds one edge length, but the tags have {', '.join(f'{edge:g}' for edge in sorted(edges))} m"
 
@@ -109,7 +109,10 @@ class Export(Checked):
         }
 
     def silent(self, tags: TagMap) -> tuple[str, ...]:
-        """Names of the formats in `formats` whose files state no tag size; empty if all tags have one size."""
+        """Names of the formats in `formats` whose files do not contain the sizes of tags.
+
+        Empty if all tags have one size.
+        """
         several = len(tags.by_size) > 1
         return tuple(name for name in self.formats if several and all_formats()[name].edges == NONE)
 

@@ -1,10 +1,9 @@
-"""Code that gives a robot's filters the standard deviations of measured poses: a Java class for WPILib.
+"""Code that tells a robot's filter the standard deviations of poses measured from tags: a Java class for WPILib.
 
-WPILib's pose estimators receive the standard deviations of a measurement's x [m], y [m] and heading [rad] by
-`setVisionMeasurementStdDevs`, or with each `addVisionMeasurement`. PhotonVision has no such setting: its examples pass
-constants in the robot's code, and AdvantageKit's template scales a baseline by d^2 / n. The code that is written here
-has the constants of these examples and of this template. Limelight publishes standard deviations (`stddevs`) and
-accepts none.
+WPILib's pose estimators take the standard deviations of a measurement's x [m], y [m] and heading [rad], by
+`setVisionMeasurementStdDevs` or with each `addVisionMeasurement`. The class computes these numbers. It also has
+constants for two common formulas: those of PhotonVision's examples, and the baseline of AdvantageKit's template, which
+multiplies it by d^2 / n (mean distance d of n tags). Limelight publishes standard deviations and accepts none.
 """
 
 from collections.abc import Mapping

@@ -188,9 +188,9 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
 
 
 def numbers_of(places: IntArray) -> str:
-    """Text such as `3 to 7`, from the first and the last of `places`, ascending positions in the order of hanging.
+    """Text such as `3 to 7` for tags that follow one another in the order of hanging, or `3` for a single tag.
 
-    `places` count from 0, the text from 1.
+    `places` are the positions of the tags in this order, from 0 on and ascending; the text counts from 1.
     """
     first, last = int(places[0]) + 1, int(places[-1]) + 1
     return f"{first}" if first == last else f"{first} to {last}"
@@ -213,13 +213,11 @@ def _write_along(
     bold: bool = False,
     needed: bool = True,
 ) -> None:
-    """Write a text beside a line with the ends `ends` `(2, 2)`, on the side to which `way` points.
+    """Write a text beside a line with the ends `ends` `(2, 2)`, mm, on the side to which `way` points.
 
-    If possible, the text overlaps none of the shapes in `taken`. Its distance from the line is `away`, mm.
-
-    The text is parallel to the line, or horizontal if the line is too short. The box of the text is added to `taken`. A
-    text that had to move away is connected to its line by another line. A text that finds no free space nearby is left
-    out, unless it is `needed`.
+    The text is at the distance `away` from the line, mm, and parallel to it, or horizontal if the line is too short. If
+    it would overlap a shape in `taken`, the text is shifted; after a long shift, a thin line connects text and line. A
+    text that finds no free space nearby is left out, unless `needed` is True. The box of the text is added to `taken`.
     """
     import shapely
 
@@ -248,7 +246,7 @@ def _write_along(
 
 
 def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:
-    """Draw a tag: a triangle on its wall, or a square for a horizontal tag, which is filled if the tag faces up."""
+    """Draw a tag at `at`, mm: a triangle for a tag on a wall, a filled square if it faces up, an empty one if down."""
     if abs(normal[2]) > FLAT:
         canvas.rect(*(at - TAG / 3.0).tolist(), TAG / 1.5, TAG / 1.5, stroke=1, fill=int(normal[2] > 0.0))
         return

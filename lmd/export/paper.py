@@ -56,7 +56,8 @@ def _own_font(bold: bool) -> str:
 def font_of(text: str, bold: bool) -> str:
     """Name of the font for a text.
 
-    It is a standard font of PDF viewers for Western European letters, else a font that is embedded in the file.
+    A text with Western European letters has a standard font of PDF viewers; other texts have a font that is embedded in
+    the file.
     """
     try:
         text.encode("cp1252")
@@ -72,7 +73,7 @@ def width_of(text: str, size: float, bold: bool = False) -> float:
 
 
 def shortened(text: str) -> str:
-    """The given name, cut to at most `LONGEST` letters."""
+    """Return `text`, cut to at most `LONGEST` letters, the last of which is then an ellipsis."""
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}\N{HORIZONTAL ELLIPSIS}"
 
 
@@ -181,9 +182,9 @@ def layout(tag: Tag, paper: str) -> Layout:
 
 
 def largest_whole(tag: Tag, paper: str) -> float:
-    """Largest edge length, metres, at which a tag fits on a sheet of the size `paper`.
+    """Largest edge length, metres, at which a tag still fits on one sheet of the size `paper`.
 
-    The tag has the family and the relative margins of `tag`.
+    The margins of the tag are in proportion to its edge length, as those of `tag`.
     """
     low, high = 0.0, max(PAPERS[paper]) / MM_PER_M
     while high - low > ROUNDING:

@@ -240,7 +240,7 @@ def _named(tags: TagMap, place: int, k: int) -> list[str]:
 
 
 def _sized(table: Table, tags: TagMap) -> Table:
-    """Return the table `table`, with a column for the edge length after the first three if the tags have several.
+    """Return `table` with an additional fourth column, for the edge lengths of tags.
 
     If all tags have one edge length, the table is returned unchanged.
     """

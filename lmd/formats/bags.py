@@ -43,7 +43,7 @@ SHOWN = 120  # maximum number of characters of a library's reason that a message
 
 
 class Message(NamedTuple):
-    """Message of a bag."""
+    """Message in a bag, a file of recorded messages of ROS."""
 
     stamp: str
     """Time in the header, seconds with nine decimals; time of recording if the header has no time."""
@@ -67,7 +67,7 @@ def types() -> Any:
 
 @cache
 def _reader() -> Any:
-    """Make a reader of bags, a subclass of that of `rosbags`; it refuses content that expands beyond the limits."""
+    """Make a class that reads bags: a subclass of the reader of `rosbags` that limits the size of expanded content."""
     optional("rosbags", EXTRA)
     library, mcap = (optional(f"rosbags.rosbag2.{name}", EXTRA) for name in ("reader", "storage_mcap"))
     zstd, lz4 = library.zstd, optional("lz4.frame", EXTRA)
@@ -127,7 +127,7 @@ def _reader() -> Any:
 
 
 def is_bag(path: Any) -> bool:
-    """Return True for the path of a bag: a file with a suffix of bags, or a folder that contains `metadata.yaml`."""
+    """True if `path` is a bag: a file with the suffix of a bag, such as `.mcap`, or a folder with `metadata.yaml`."""
     with suppress(OSError, TypeError, ValueError):
         return Path(path).suffix.lower() in SUFFIXES or (Path(path) / METADATA).is_file()
     return False
@@ -213,7 +213,7 @@ class Bag:
             raise self.refused(f"has a damaged message of {kind} ({_reason(error)})") from None
 
     def refused(self, why: str, argument: str | None = None) -> InputError:
-        """Make an error about this bag. `why` is the reason, written as the predicate of a sentence about the bag."""
+        """Make an error about this bag, with the reason `why`: a predicate, such as `has no camera`."""
         return InputError(f"{self.argument}: the bag {str(self.path)!r} {why}.", argument or self.argument)
 
     def _check_type(self, connection: Any) -> None:

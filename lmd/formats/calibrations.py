@@ -167,7 +167,7 @@ class CalibrationFile(File):
 
 
 class ReadCamera(NamedTuple):
-    """Camera in a file, whose values are interpreted only when one of the two functions is called."""
+    """Camera of a file: two functions, which interpret its values only when they are called."""
 
     calibration: Callable[[], Calibration]
     """Function that returns the calibration."""
@@ -178,12 +178,12 @@ class ReadCamera(NamedTuple):
 
 
 def lens_model(word: Any, models: Mapping[str, str]) -> str:
-    """Lens model for a name that a file or a user gives it.
+    """Standard name of the lens model that a file or a user calls `word`.
 
     Args:
-        word: the given name.
-        models: lens models, keyed by a pattern (regular expression in lower case) of the names that files use, see
-            `lmd.formats.keyed_cameras.KeyedCameras.models`.
+        word: name of the lens model in the file or from the user.
+        models: standard names of lens models, keyed by a pattern (regular expression in lower case) of the names that
+            files use, see `lmd.formats.keyed_cameras.KeyedCameras.models`.
 
     Raises:
         InputError: no pattern matches.

@@ -37,7 +37,7 @@ _TABLE = yaml.load(_TEXT, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 
 class Quantity(NamedTuple):
-    """Quantity that a column of a table may hold, with the names and units of such columns."""
+    """Quantity, such as a time or a coordinate, and the names and units of the columns of files that hold it."""
 
     name: str
     """Standard name of the column, in which {} stands for the axis."""
@@ -76,7 +76,7 @@ VOCABULARY = {
 
 
 class Layout(NamedTuple):
-    """Columns of a text that does not name its columns."""
+    """Columns of a text file, in their order, and facts about the program that writes files with these columns."""
 
     name: str
     """Name of the program, as in the argument `columns`; empty if a file or the user names the columns."""
@@ -103,7 +103,7 @@ class Layout(NamedTuple):
     """
 
     def takes(self, width: int) -> bool:
-        """True if a line of `width` values can have this layout."""
+        """True if a line with `width` values can have these columns."""
         return (self.least or len(self.columns)) <= width and (self.more or width <= len(self.columns))
 
 
@@ -202,7 +202,7 @@ def standardised(table: Table, of: str, layout: Layout | None = None) -> Named:
     Args:
         table: the table.
         of: content of the table, `POSES` or `TAGS`.
-        layout: layout that the result states; None for one with the names in the table.
+        layout: layout to store in the result; None to make it from the names in the table.
 
     Raises:
         InputError: two columns may hold one quantity, or a unit is unknown.
@@ -285,8 +285,8 @@ def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
 def _commented(lines: Lines, of: str) -> Layout | None:
     """Layout of the columns, from the last comment that names columns; None if no comment does.
 
-    A comment names the columns if its words name a pose, or if it has as many words as a line has values. A comment
-    also names the columns if it begins with the number and the position of a tag.
+    A comment names the columns in three cases. It has the names of a pose's columns; it has as many words as a line has
+    values; or it begins with the columns of a tag's number and position.
 
     Raises:
         InputError: a comment names more columns than the first line has values.

@@ -44,7 +44,7 @@ DEEPEST = 3  # maximum number of levels of names and lists around results in JSO
 
 
 class SeenTag(NamedTuple):
-    """Detection of a tag."""
+    """Detection of one tag in one image, as a file states it."""
 
     camera: str
     """Name of the camera; empty if there is a single camera."""
@@ -140,7 +140,7 @@ class KeyedDetections:
     """Minimum coordinate of a corner. Smaller coordinates are refused, as they count from the middle of the image."""
 
     def read(self, file: Any) -> DetectedTags:
-        """Detections of all results in a file.
+        """Read the detections of tags in all images that a file of the program lists.
 
         Raises:
             InputError: a key is missing, a value is refused, or no tag has corners.
@@ -160,7 +160,7 @@ class KeyedDetections:
         return _detections(file, seen)
 
     def _seen(self, keys: Any) -> Iterator[SeenTag]:
-        """Yield the tags with corners in all results of a file, each with the time at which its image was taken.
+        """Yield the tags with corners in all images of a file, each with the time at which its image was taken.
 
         `keys` is the content of the file, one or several JSON documents.
         """
@@ -230,7 +230,8 @@ def read_csv(file: File) -> DetectedTags:
 def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
     """Convert the `seen` tags to detections, with corners that begin at the tag's top left.
 
-    Tags are left out if their corners enclose less than `LEAST_AREA`, or have the opposite sense of rotation.
+    Tags are left out if their corners enclose less than `LEAST_AREA` square pixels, or if their corners have the
+    opposite sense of rotation to those of most tags.
 
     Raises:
         InputError: no tag is left, or the tags have several families.
@@ -258,12 +259,12 @@ def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
 
 
 def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, Any]]:
-    """Yield the results within JSON documents: pairs of a camera's name, and a mapping that has the key `key`.
+    """Yield the results (detections in one image) in JSON documents: pairs of a camera's name and a mapping.
 
     Args:
         documents: a document, or a list of documents.
-        key: key by which a result is recognised.
-        camera: name for results that are under no other name.
+        key: key by which the mapping of a result is recognised.
+        camera: name of the camera for results without a key above them that names it.
         depth: number of levels of mappings and lists that are searched; an outermost list does not count.
     """
     if isinstance(documents, Mapping):

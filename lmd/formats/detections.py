@@ -12,15 +12,15 @@ SAME = 0.01  # maximum difference between the corners of copies, pixels
 
 @dataclass(frozen=True)
 class DetectedTags:
-    """N tags in the frames of C cameras.
+    """N detections of tags in F frames of C cameras; a detection is one tag in one image.
 
     Args:
-        times: texts of the F frames, their times or their names, ascending and all different. Simultaneous images of
+        times: texts of the frames, their times or their names, ascending and all different. Simultaneous images of
             several cameras are one frame.
         cameras: names of the cameras, `(C,)`.
         frame: index of the frame of each detection, `(N,)`.
         camera: index of the camera of each detection, `(N,)`.
-        ids: numbers of the tags, `(N,)`.
+        ids: number of the tag of each detection, `(N,)`.
         corners: corners in the image, pixels from the outer corner of its top left pixel, in the order top left, top
             right, bottom right, bottom left of the tag, `(N, 4, 2)`.
         blurred: blur, pixels, of each frame whose detections were left out because of blur, keyed by the frame's name.
@@ -71,8 +71,8 @@ class DetectedTags:
 
         Args:
             names: names of the frames, in ascending order.
-            ids: ids of the tags in each frame, `(M,)`.
-            corners: corners in each frame, in the order and unit of the class, `(M, 4, 2)`.
+            ids: ids of the M tags in each frame, `(M,)`.
+            corners: corners of these tags, `(M, 4, 2)`, in the order and unit of `corners` of this class.
 
         Raises:
             InputError: there is no tag in any frame.
@@ -109,11 +109,11 @@ class DetectedTags:
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def renumbered(self, ids: IntArray, quarters: IntArray) -> "DetectedTags":
-        """Copy of all detections in which the corners of some tags are numbered from another corner.
+        """Copy of the detections in which the corners of K tags are counted from another corner.
 
         Args:
-            ids: ids of these K tags, ascending, `(K,)`.
-            quarters: new index of the corner that had the index 0, from 0 to 3, for each tag, `(K,)`.
+            ids: ids of the K tags, ascending, `(K,)`.
+            quarters: for each of the K tags, the new index (0 to 3) of the corner that had the index 0, `(K,)`.
         """
         place = np.minimum(np.searchsorted(ids, self.ids), len(ids) - 1)
         back = np.where(ids[place] == self.ids, quarters[place], 0)
@@ -121,8 +121,10 @@ class DetectedTags:
         return replace(self, corners=np.take_along_axis(self.corners, order[..., None], axis=1))
 
     def without(self, blurs: Mapping[str, float]) -> "DetectedTags":
-        """Detections without those in the blurred frames; `blurs` is the blur of each blurred frame, pixels, keyed by
-        the frame's name.
+        """Copy without the detections in blurred frames.
+
+        `blurs` is the blur of each blurred frame, pixels, keyed by the frame's name. It is added to the field
+        `blurred`.
 
         Raises:
             InputError: no detection is left.
@@ -138,10 +140,10 @@ def signed_area(corners: FloatArray) -> FloatArray:
 
 
 def without_copies(detected: DetectedTags) -> DetectedTags:
-    """Leave out the detections in copies; the field `copies` of the result names the copies.
+    """Leave out the detections in copies of images; the field `copies` of the result names the copies.
 
-    A copy is an image that shows the same tags as an earlier image of its camera, with corners at most `SAME` apart.
-    Errors of corners are independent in two photographs, but equal in a photograph and its copy.
+    An image is a copy if it shows the same tags as an earlier image of its camera, and coordinates of corners differ by
+    at most `SAME` pixels. Errors of corners are independent in two photographs, but equal in a photograph and its copy.
     """
     x, y = detected.corners[:, 0, 0], detected.corners[:, 0, 1]
     order = np.lexsort((y, x, detected.ids, detected.frame, detected.camera))

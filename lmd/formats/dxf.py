@@ -38,7 +38,8 @@ def read_drawing(file: File) -> ReadPlan:
     """Read the room in a drawing, in the frame of the drawing.
 
     Args:
-        file: drawing; `file.asked` has `layers`, `unit`, `gap`, `tolerance` and `start` of `lmd.formats.plans.Reading`.
+        file: drawing; its attribute `asked` has the settings `layers`, `unit`, `gap`, `tolerance` and `start` of
+            `lmd.formats.plans.Reading`.
 
     Raises:
         InputError: the file cannot be read, a layer or the unit is unknown, or the walls enclose no room.
@@ -129,11 +130,12 @@ def _shapes(
 ) -> Iterator[tuple[str, str, Any]]:
     """Yield kind, layer name and entity of each shape in a drawing, including the shapes in blocks.
 
-    The kind is `line`, `door` or `window`, or `hidden` for a shape that CAD programs do not show. A block on a frozen
-    layer is hidden as a whole. If the layer of a block is off, its shapes on layer 0 are hidden.
+    The kind is `line`, `door` or `window`, or `hidden` for a shape that CAD programs do not show. If the layer of a
+    block is frozen, all shapes of the block are hidden; if it is off, only those on layer 0 are.
 
-    The counter `number` advances with each entity; more than `MOST_ENTITIES` are refused. The arguments after it state
-    the surroundings of a block: kind, layer, visibility and nesting.
+    The counter `number` advances with each entity; more than `MOST_ENTITIES` are refused. The arguments from `kind` on
+    are those of the block that contains the entities: its kind, its layer, True if it is shown, and its depth of
+    nesting.
     """
     bounded("nested blocks", depth, DEEPEST, source, "path")
     for entity in entities:
@@ -152,7 +154,7 @@ def _shapes(
 def _flattened(entity: Any, tolerance: float, source: str, number: Iterator[int]) -> FloatArray:
     """Vertices of the polyline that approximates a shape, `(N, 2)`, in the unit of the drawing.
 
-    Empty for shapes without a path, such as a mesh. The counter `number` advances with each vertex of all shapes.
+    A shape without a path, such as a mesh, has no vertices. The counter `number` limits the vertices of all shapes.
     """
     make_path = optional("ezdxf.path", "drawings").make_path
     vertices: list[list[float]] = []

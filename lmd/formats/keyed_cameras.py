@@ -64,11 +64,14 @@ MOST_CAMERAS = 64  # maximum number of different cameras among the images of a f
 class KeyedCameras(Keyed):
     """Description of a format: the keys under which a file holds its cameras.
 
-    The image size is `width` and `height`, or `size`. The intrinsics are `matrix` (nine numbers, row by row), `columns`
-    (nine numbers, column by column), or single numbers named as in `QUANTITIES`, such as `fx`. The distortion is
-    `lens`, a list of coefficients, or single coefficients named as in `QUANTITIES`. `body` is the pose of
-    the camera's optical frame on the body, `body_inverse` its inverse, `step` the pose of the previous camera in this
-    camera's optical frame.
+    `at` has the paths (see `lmd.formats.trees`) of these quantities:
+
+    - size of the image: `width` and `height`, or `size`.
+    - intrinsics: `matrix` (nine numbers, row by row), `columns` (nine numbers, column by column), or single numbers
+      named as in `QUANTITIES`, such as `fx`.
+    - distortion: `lens`, a list of coefficients, or single coefficients named as in `QUANTITIES`.
+    - poses: `body`, the pose of the camera's optical frame in the frame of the body that carries the camera;
+      `body_inverse`, its inverse; `step`, the pose of the previous camera in this camera's optical frame.
     """
 
     called: str = ""
@@ -122,13 +125,13 @@ class KeyedCameras(Keyed):
         return found
 
     def compared(self, entry: Keys) -> Keys:
-        """Entry with its keys as they are compared: in lower case and without `_` if the format is `loose`."""
+        """Camera's entry; if the format is `loose`, a copy whose keys are in lower case and without `_`."""
         return {plain(name): value for name, value in entry.items()} if self.loose else entry
 
 
 @dataclass(frozen=True)
 class _Camera:
-    """Entry of one camera in a file, with the entry's key, the description of the format, and the user's settings."""
+    """One camera of a file: the format, the mapping of its keys and values (its entry), its key, and user settings."""
 
     form: KeyedCameras
     entry: Keys
@@ -136,7 +139,7 @@ class _Camera:
     asked: Keys
 
     def path(self, path: str) -> str:
-        """The path with `{key}` replaced by the entry's key, and without a final `?`, the mark of optional values.
+        """Path without a final `?`, which marks optional values, and with the key of the camera's entry for `{key}`.
 
         If the format is `loose`, the result is in lower case and without `_`.
         """
@@ -144,11 +147,14 @@ class _Camera:
         return plain(path) if self.form.loose else path
 
     def value(self, path: str) -> Any:
-        """Value at a path of the entry; `MISSING` if the entry has no value there."""
+        """Value to which a path of keys leads in the camera's entry; `MISSING` if there is none."""
         return find(self.entry, self.path(path))
 
     def numbers(self, path: str, size: int | None = 1) -> tuple[float, ...]:
-        """Numbers at a path of the entry; `size` is their required number, None for any number."""
+        """Numbers to which a path of keys leads in the camera's entry.
+
+        There must be `size` numbers; None allows any count.
+        """
         called = path.split("|")[0].rstrip("?").replace("{key}", self.key)
         return vector_at(self.entry, self.path(path), size, called)
 
@@ -210,9 +216,9 @@ class _Camera:
         return None if size is None else float(size[index])
 
     def _model(self) -> tuple[str, str, list[str]]:
-        """Name of the lens model in the file; the lens model; and the names of the listed quantities.
+        """Lens model as the file names it; its standard name; and the names of the numbers in lists of the file.
 
-        The listed quantities are in lists of the file, at the paths `values` of the format.
+        The lists are at the paths `values` of the format.
         """
         said = [self.value(path) for path in self.form.model]
         needed = [path for path, word in zip(self.form.model, said, strict=True) if word is MISSING and path[-1] != "?"]
@@ -254,8 +260,9 @@ class _Camera:
         return model if model != "unsaid" else "plumb_bob" if asked is None else lens_model(asked, LENS_MODELS)
 
     def _quantities(self, names: Sequence[str]) -> dict[str, float]:
-        """Quantities of the camera, keyed by name; `names` are the names of the quantities in the lists at the paths
-        `values`.
+        """Intrinsics and lens coefficients of the camera, keyed by name.
+
+        `names` are the names of the numbers in lists of the file, at the paths `values` of the format.
         """
         found: dict[str, float] = {}
         pairs = [(ours, theirs or ours) for ours, _, theirs in (name.partition("=") for name in names)]
@@ -275,8 +282,9 @@ class _Camera:
         return found
 
     def _pinhole(self, values: Keys) -> dict[str, float]:
-        """Focal lengths fx, fy and principal point cx, cy, keyed by these names, pixels from the centre of the first
-        pixel.
+        """Focal lengths and principal point, pixels, keyed by the names fx, fy, cx and cy.
+
+        The principal point counts from the centre of the image's first pixel. `values` are quantities found before.
         """
         found, skew = dict(values), values.get("skew", 0.0)
         for name in ("matrix", "columns"):
@@ -297,8 +305,10 @@ class _Camera:
         return {name: found[name] - (self.form.origin if name[0] == "c" else 0.0) for name in PINHOLE}
 
     def poses(self) -> dict[str, FloatArray]:
-        """Poses `(4, 4)`, keyed by frame of reference: `body` is the pose of the camera's optical frame on the body;
-        `step` is the pose of the previous camera in this camera's optical frame.
+        """Poses `(4, 4)` with the keys `body` and `step`, if the file has them.
+
+        `body` is the pose of the camera's optical frame in the frame of the body that carries the camera; `step` is the
+        pose of the previous camera in this camera's optical frame.
 
         Raises:
             InputError: a pose is not a rigid motion.
@@ -312,10 +322,9 @@ class _Camera:
 
 
 def _nearest(model: str, lens: Sequence[float], values: Mapping[str, float], size: Sequence[Any]) -> Restated:
-    """Lens and intrinsics of a camera.
+    """Lens and intrinsics of a camera, with a lens model that `lmd.geometry.lens` supports.
 
-    If `lmd.geometry.lens` does not support its lens model, a lens of a supported model, and intrinsics, are fitted to
-    it.
+    If the file has another lens model, a supported lens and its intrinsics are fitted to the file's lens.
 
     Args:
         model: lens model of the file.

@@ -43,12 +43,16 @@ KNOWN = ("id", "position", "corners", "edge", "family", *TURNS)
 class KeyedTags(Keyed):
     """Description of a format: the keys under which a file holds its tags.
 
-    A tag has these quantities: `id`, a number or a name such as `tag36h11:7`; `edge`; `family`; the `position`; and the
-    rotation. The rotation is `quaternion`, `rpy` (roll, pitch, yaw), or `yaw` (rad) or `yaw_degrees` about the
-    vertical. Position and rotation together may be `transform`, 16 numbers row by row, or `pose`, x, y, z, qx, qy, qz,
-    qw. Edge and pose together may be four `corners`, clockwise from the top left. If an entry has several rotations,
-    the first in the order of `TURNS` is taken. A path with spaces stands for several paths, one for each number; a
-    position of two numbers is on the floor.
+    `at` has the paths (see `lmd.formats.trees`) of these quantities of a tag:
+
+    - `id`, a number or a name such as `tag36h11:7`; `edge`; `family`.
+    - `position`: three numbers, or two for a tag on the floor.
+    - rotation: `quaternion`, `rpy` (roll, pitch, yaw), or `yaw` (rad) or `yaw_degrees` about the vertical. If an entry
+      has several rotations, the first in the order of `TURNS` is taken.
+    - position and rotation in one: `transform`, 16 numbers row by row, or `pose`, x, y, z, qx, qy, qz, qw.
+    - edge, position and rotation in one: `corners`, four points clockwise from the top left.
+
+    A path with spaces stands for several paths, one for each number of the quantity.
     """
 
     axes: Sequence[str] = RIGHT_UP_OUT
@@ -115,9 +119,9 @@ class KeyedTags(Keyed):
         return PlacedTag(number, shifted, turn @ axes_of(list(self.axes)).T, edge, family)
 
     def _value(self, tag: Keys, path: str) -> Any:
-        """Value at a path of a tag's entry; `MISSING` if an optional value is missing.
+        """Value to which a path of keys leads in a tag's entry; `MISSING` if it is missing but optional.
 
-        For a path with spaces, which stands for several paths, the path itself is returned.
+        A path with spaces (several paths) is returned as it is.
         """
         value = find(tag, path.rstrip("?")) if " " not in path else path
         if value is MISSING and not path.endswith("?"):
@@ -125,9 +129,10 @@ class KeyedTags(Keyed):
         return value
 
     def _pose(self, tag: Keys, at: Mapping[str, str], number: int) -> tuple[FloatArray, FloatArray]:
-        """Position `(3,)`, metres, and rotation matrix `(3, 3)` of a tag's frame with the axes of the file, see `axes`.
+        """Position `(3,)`, metres, and rotation matrix `(3, 3)` of a tag, as its entry states them.
 
-        `at` has the paths to the quantities, and `number` is the tag's id, for messages.
+        The rotation is that of a frame with the axes `axes` of the format. `at` has the paths of the quantities, and
+        `number` is the tag's id, for messages.
         """
         turns = {name: at[name].rstrip("?") for name in TURNS if name in at}
         name = next((name for name, path in turns.items() if find(tag, path) is not MISSING), list(turns)[-1])
@@ -148,11 +153,11 @@ class KeyedTags(Keyed):
 
 
 def _numbers(tag: Keys, path: str, names: str, order: str = "") -> FloatArray:
-    """Numbers at a path of a tag's entry, one for each letter of `names`.
+    """Numbers of one quantity in a tag's entry: one for each letter of `names`, such as `xyz`, in this order.
 
-    The value is a list, or a mapping with the letters as keys (for a quaternion, with or without the prefix `q`). A
-    list has the order of the letters in `order`, by default in `names`. A path with spaces stands for one path for each
-    number.
+    At the path is a list, or a mapping with the letters as keys (for a quaternion, with or without the prefix `q`). The
+    letters in `order` give the order of the list, by default that of `names`. A path with spaces stands for one path
+    for each number.
     """
     if " " in path:
         return np.array([*(number_at(tag, part) for part in path.split()), 0.0][: len(names)])
@@ -181,7 +186,9 @@ MOST_ROWS = 200  # maximum number of rows, and of columns, of a TagSLAM board
 
 
 def parameters_of(keys: Keys) -> Keys:
-    """Parameters of the node that has tags, in a parameter file of ROS 2; other content is returned unchanged.
+    """Parameters of the node (program) that has tags, from a parameter file of ROS 2.
+
+    Content `keys` without parameters of nodes is returned unchanged.
 
     Raises:
         InputError: several nodes have tags, or none of several nodes has tags.
@@ -205,9 +212,9 @@ def _nodes(keys: Keys, depth: int) -> Iterable[Keys]:
 def apriltag_ros(keys: Keys) -> Keys:
     """Tags in a configuration of apriltag_ros, as a tree with the key `tags`.
 
-    They are those of its bundle, whose frame is taken as the world frame; or standalone tags with positions in the
-    world frame. `transform` is True if a bundle of ROS 2 gives transforms, and `family` is the configured family, if
-    any.
+    The tags are those of a bundle, a group of tags with a common frame, which is taken as the world frame. Without a
+    bundle, they are the standalone tags that have positions. In the result, `transform` is True if a bundle of ROS 2
+    gives transforms, and `family` is the configured family, if any.
 
     Raises:
         InputError: no tag has a pose, or several bundles have tags.
@@ -236,8 +243,10 @@ def apriltag_ros(keys: Keys) -> Keys:
 
 
 def _placed(tag: Keys) -> Keys:
-    """Entry of a tag, in which a key `TRANSFORM` is replaced by position and rotation: a quaternion if the transform
-    has seven values, roll, pitch and yaw if it has six. Other entries are unchanged.
+    """Entry of a tag in which position and rotation replace the key `TRANSFORM`.
+
+    If the transform has seven values, the rotation is a quaternion; if it has six, roll, pitch and yaw. An entry
+    without the key is returned unchanged.
     """
     if TRANSFORM not in tag:
         return tag
@@ -263,9 +272,9 @@ def _listed(listed: Any) -> Iterator[tuple[str, list[Keys]]]:
 
 
 def _named(bundles: Keys) -> Iterator[tuple[str, list[Keys]]]:
-    """Yield name and tags of each bundle in a configuration for ROS 2; `bundles` is its mapping of bundles.
+    """Yield name and tags of each bundle in a configuration for ROS 2; `bundles` are the bundles, keyed by name.
 
-    There each tag has a key of its own, as parameters of ROS 2 cannot be lists of mappings.
+    In a bundle each tag has a key of its own, as parameters of ROS 2 cannot be lists of mappings.
     """
     for name in bundles.get("bundle_names") or [name for name in bundles if isinstance(bundles[name], dict)]:
         bundle = mapping(str(name), bundles[name])

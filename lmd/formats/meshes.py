@@ -132,7 +132,7 @@ _PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE)
 
 
 class RoomFile(File):
-    """File of a room; its attribute `asked` has the setting `up`, the axis of the file that points up."""
+    """File of a room. The setting `up` in its attribute `asked` is the axis of the file that points up."""
 
     @cached_property
     def content(self) -> bytes:
@@ -294,7 +294,9 @@ def _place(word: str) -> float:
 
 
 def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[str]:
-    """Lines of an OBJ with the triangles of a face; the given line if the face is bent, crosses itself, or has no area.
+    """Cut a face of an OBJ into triangles; return the lines that replace the line of the face.
+
+    A face that is bent, crosses itself or has no area is not cut: the given line is returned.
 
     Args:
         line: line of the face.
@@ -326,8 +328,9 @@ def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[st
 
 
 def _check_ply(name: str, content: bytes, triangles: int) -> None:
-    """Raise `InputError` for a PLY in which a face has more than three corners. `triangles` is the number of triangles
-    that the reader made of all faces: it exceeds the number of faces if a face was cut.
+    """Raise `InputError` for a PLY in which a face has more than three corners, which may be cut wrongly.
+
+    `triangles` is the number of triangles after reading: it exceeds the number of faces if a face was cut.
     """
     found = _PLY_FACES.search(content[: content.find(b"end_header")])
     if found is not None and triangles > int(found[1]):

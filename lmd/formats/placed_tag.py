@@ -72,7 +72,7 @@ class Found(NamedTuple):
 
     Args:
         tags: tags of another program's map.
-        table: table of tags, instead of `tags`; see `lmd.formats.tag_tables`.
+        table: table of tags if `tags` is empty, see `lmd.formats.tag_tables`; else None.
         by_opencv: True if the programs that read such files detect tags with OpenCV.
         note: sentence for the user on an assumption about the file; empty if none was made.
     """
@@ -127,8 +127,9 @@ def family_and_rest(text: str) -> tuple[str | None, str]:
 
 
 def tag_named(value: Any) -> tuple[str | None, int] | None:
-    """Family (None if unknown) and number of a tag, from the number or from a name such as `tag36h11:7`. None for other
-    values, and for names that do not determine the number.
+    """Family and number of a tag, from its number or from a name such as `tag36h11:7`.
+
+    The family is None if it is unknown. The result is None if `value` does not determine the number.
     """
     text = str(value).strip().removesuffix(".0").rpartition("/")[2]
     family, rest = family_and_rest(text)
@@ -260,10 +261,10 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
 
 
 def one_family(named: Iterable[str | None]) -> str | None:
-    """Family of all tags of a map; None if no entry of the map names a family.
+    """The one family of the tags of a map; None if no tag has a known family.
 
     Args:
-        named: family that each entry names, or None.
+        named: family of each tag; None if it is unknown.
 
     Raises:
         InputError: the tags have several families.
@@ -278,8 +279,12 @@ def one_family(named: Iterable[str | None]) -> str | None:
 
 
 def check_family(path: Any, told: str | None, wanted: str | None) -> None:
-    """Raise `InputError` if the family `told` by the map at `path` differs from the family `wanted`; `told` is None if
-    the map names no family.
+    """Raise `InputError` if the tags of a map have another family than the family `wanted`.
+
+    Args:
+        path: path of the map, for messages.
+        told: family that the map names; None if it names none.
+        wanted: required family; None for any family.
     """
     if told is None or wanted is None or told == wanted:
         return

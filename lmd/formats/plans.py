@@ -178,10 +178,10 @@ BEHIND_M, FAR_M = 0.002, 100.0
 
 
 def read_field(file: File) -> ReadPlan:
-    """Read the field of a layout of WPILib: the rectangle of its size, grown to contain all tags.
+    """Read the field of a layout of WPILib: a rectangle of the stated size, grown to contain all tags.
 
-    If the tags are those of a known season, the solid structures of that season's field are left out of the room, from
-    floor to ceiling. The faces of a structure are the planes of its tags.
+    If the tags are those of a known season, that season's solid structures are left out of the room, from floor to
+    ceiling. The sides of a structure are the planes of its tags.
 
     Raises:
         InputError: the size of the field is missing or implausible, or the tags cannot be read.
@@ -305,8 +305,10 @@ def read_plan_room(
 
 
 def _walls(found: ReadPlan, height: float, margin: float, least_width: float) -> tuple[list[str], list[dict[str, Any]]]:
-    """Names of the walls whose free width is at least `least_width`; and the keep-outs of doors and windows, each as a
-    mapping with the arguments of `KeepOut`.
+    """Names of the walls with at least the free width `least_width`; and the regions of doors and windows.
+
+    The free width is the length of the longest part without doors and windows. A region, in which no landmark may be,
+    is a mapping with the arguments of `KeepOut`.
     """
     walls: list[str] = []
     parts: list[dict[str, Any]] = []

@@ -39,8 +39,8 @@ class Rows:
         time: times, seconds, `(T,)`; increasing after `read_rows`.
         poses: poses of the recorded body, in the frame of the recording, `(T, 4, 4)`.
         frame: frame of the orientations, `optical` or `body`; None if the file does not define it.
-        angles: True if orientations are given by angles of a camera; with a mount, they are the angles of the body's x
-            axis.
+        angles: True if the file gives orientations as angles of a camera; if the user states a mount, the angles are
+            those of the body's x axis.
         notes: sentences for the user on omitted rows and on assumptions, without full stops.
     """
 
@@ -121,8 +121,9 @@ def checked_seconds(source: str, time: FloatArray, unit: float | None, positions
 
 
 def tum_text(seconds: FloatArray, poses: FloatArray) -> str:
-    """Text of a trajectory in TUM's format, without the poses that are unknown or have no time. The poses are
-    `(n, 4, 4)`, the times `(n,)`, seconds.
+    """Text of a trajectory in TUM's format. Poses that have NaN, or have NaN as time, are left out.
+
+    The poses are `(n, 4, 4)`; their times are `(n,)`, seconds.
     """
     rows = np.column_stack([seconds, pose_rows(poses)])
     lines = [f"{time:.7f} " + " ".join(f"{x:.9f}" for x in row) for time, *row in rows[np.isfinite(rows).all(axis=1)]]
@@ -130,8 +131,9 @@ def tum_text(seconds: FloatArray, poses: FloatArray) -> str:
 
 
 def steep(sines: FloatArray, path: object) -> str:
-    """Question to the user if nearly all views look up or down, as happens if body poses are read as camera poses; else
-    an empty text.
+    """Question to the user if nearly all views look up or down; else an empty text.
+
+    Such views are likely if the poses of a body are read as poses of a camera.
 
     Args:
         sines: sine of the pitch of each view, `(T,)`.
@@ -145,7 +147,10 @@ def steep(sines: FloatArray, path: object) -> str:
 
 
 def of_table(file: File) -> Rows:
-    """Read poses from a table with a time in each line; `file.asked` has `columns` and `frame` of `read_rows`."""
+    """Read poses from a table with a time in each line.
+
+    The attribute `asked` of the file has the settings `columns` and `frame` of `read_rows`.
+    """
     found = named(file.path, file.text, POSES, file.asked["columns"], file.argument)
     table, unit = found.table, found.time_unit
     if not {TIME, *POSITION} <= found.columns.keys():
@@ -172,7 +177,7 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
     """Poses of a table, and the meaning of their orientations.
 
     Args:
-        found: the table.
+        found: the table, with standard names of columns.
         place: positions, metres, `(T, 3)`.
         frame: frame that the user states, `optical` or `body`.
 
@@ -209,10 +214,10 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
 
 
 def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
-    """Frame of the orientations, `optical` or `body`, and a note for the user, from ROS's `child_frame_id`.
+    """Frame of the orientations, `optical` or `body`, and a note for the user, from ROS's column `child_frame_id`.
 
-    The frame is None if this name does not tell it. `frame` is the frame that the user states. Source: REP 103, REP
-    105.
+    The frame is None if the column is missing or has another name. `frame` is the frame that the user states; a
+    contradiction raises `InputError`. Source: REP 103, REP 105.
     """
     found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
     name = found.pop() if len(found) == 1 else ""

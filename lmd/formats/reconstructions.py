@@ -39,7 +39,7 @@ OF_FRAME = ("applied_transform", "applied_scale", "ply_file_path")
 
 
 class Model(NamedTuple):
-    """Poses of images from files of COLMAP or nerfstudio, or poses of a trajectory."""
+    """Images and their poses from files of COLMAP or nerfstudio, or the times and poses of a trajectory."""
 
     names: list[str] | FloatArray
     """Names of n images; for a trajectory, times, seconds, increasing, `(n,)`."""
@@ -50,9 +50,9 @@ class Model(NamedTuple):
 
 
 def similar(similarity: FloatArray, poses: FloatArray) -> FloatArray:
-    """Poses `(n, 4, 4)` that cameras have after a similarity `(4, 4)` has moved them together with the world.
+    """Move cameras together with the world by a similarity `(4, 4)`; return the new poses of the cameras.
 
-    `poses` are those before.
+    Old and new poses are `(n, 4, 4)`, camera to world.
     """
     turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
     return pose_of(turn @ poses[:, :3, :3], act(similarity, poses[:, :3, 3]))
@@ -93,7 +93,7 @@ def read_model(path: Any) -> Model:
 def _colmap(folder: Path) -> Model:
     """Model from the text files of COLMAP in a folder.
 
-    Its function `moved` changes only the poses, and the positions of points, in the files.
+    The function `moved` of the model changes only the poses, and the positions of points, in the files.
     """
     cameras, images, points = (File(folder / name, "model").text.splitlines(keepends=True) for name in FILES)
     found = {number: image for number, line in enumerate(images) if (image := IMAGE.fullmatch(line)) is not None}
@@ -118,7 +118,8 @@ def _colmap(folder: Path) -> Model:
 def _nerfstudio(path: Path) -> Model:
     """Model from nerfstudio's file `TRANSFORMS` at `path`.
 
-    Its function `moved` changes the poses in the file and drops the keys `OF_FRAME`; all else is unchanged.
+    The function `moved` of the model changes the poses in the file, and drops the keys `OF_FRAME`, which describe the
+    old frame. All other keys are unchanged.
     """
     keys = File(path, "model").data
     frames = [dict(frame) for frame in keys["frames"]]
@@ -152,8 +153,11 @@ def _image_line(number: Any, row: FloatArray, camera: Any, name: str) -> str:
 
 
 def _intrinsics(camera: Camera) -> tuple[str, str, dict[str, float]]:
-    """Name of the camera's lens model in COLMAP; its name in nerfstudio; and the size of the image and the parameters,
-    keyed by nerfstudio's names, in COLMAP's order. A name is empty if the program lacks the lens model.
+    """Lens model of a camera as COLMAP and as nerfstudio name it, and the values for both programs.
+
+    Returns:
+        name in COLMAP; name in nerfstudio; and the size of the image and the parameters, keyed by nerfstudio's names,
+        in COLMAP's order. A name is empty if the program lacks the lens model.
     """
     (focal_u, focal_v), (u, v), lens = camera.focal_pixels.tolist(), camera.principal_point, camera.distortion
     size = {"w": round(camera.image_width), "h": round(camera.image_height)}
@@ -168,7 +172,7 @@ def _intrinsics(camera: Camera) -> tuple[str, str, dict[str, float]]:
 def model_files(
     cameras: Sequence[Camera], names: Sequence[str], camera: IntArray, poses: FloatArray, points: FloatArray
 ) -> tuple[dict[str, Any], str]:
-    """Contents of the files of a COLMAP model and of `TRANSFORMS`, and a note on files that are left out.
+    """Contents of the files of a COLMAP model and of nerfstudio's `TRANSFORMS`, and a note on files that are left out.
 
     Args:
         cameras: the cameras.
@@ -179,7 +183,7 @@ def model_files(
 
     Returns:
         contents, keyed by file name; and the note, which is empty if no file is left out. A file is left out if its
-        program lacks a lens model, or if `TRANSFORMS` would need several.
+        program lacks a lens model, or if `TRANSFORMS` would need several lens models.
     """
     lenses, each = [_intrinsics(one) for one in cameras], list(zip(names, camera.tolist(), strict=True))
     rows = enumerate(zip(each, pose_rows(inverse(poses)), strict=True), 1)

@@ -1,9 +1,9 @@
 """Registry of file formats for reading and writing, including formats of other packages and of the user.
 
-A format is a `Format`, or a row of YAML, see `described`. The formats of one kind of files, such as tag maps, are a
-*family*. A package adds formats with an entry point of the group `lmd.formats`: a `Format` or a row, or a list of
-these. A user adds rows in YAML files, in folders that the environment variable `LMD_FORMATS` lists; commands add the
-folder `file_formats` of each folder on `hydra.searchpath`. Added formats are tried before the formats of `lmd`.
+A format is a `Format`, or a row of YAML from which `described` makes one. The formats of one kind of files, such as tag
+maps, are a *family*. A package adds formats with an entry point of the group `lmd.formats`: a `Format`, a row, or a
+list of these. A user adds YAML files with rows, in folders that the environment variable `LMD_FORMATS` lists; commands
+add the folder `file_formats` of each folder on `hydra.searchpath`. Added formats are tried before the formats of `lmd`.
 """
 
 import os
@@ -39,12 +39,12 @@ CALL = re.compile(r"(?P<module>[\w.]+)\.(?P<name>\w+)\((?P<arguments>[\w, ]*)\)"
 
 
 class Writer(NamedTuple):
-    """Writer of a file in a format: a tag map, a plan or print sheets.
+    """Writer of one format: its function, which writes a tag map, a plan or print sheets, and facts about the format.
 
     Args:
         file: name of the file.
-        write: function that writes the file. The arguments of the function are the path, the map `tags` and, for
-            printed files, the paper size `paper`.
+        write: function that writes the file. Its arguments are the path, the tag map `tags` and, for printed files, the
+            paper size `paper`.
         only_apriltag: True if readers of the format support only the families of AprilTag.
         only_opencv: True if readers of the format support only families that OpenCV has.
         on_paper: True if the file is to be printed.
@@ -131,12 +131,13 @@ def anything(_: File) -> bool:
 
 
 def function_of(text: str) -> Callable[[File], Any]:
-    """Make a function of a `File` that calls the function in a text such as `module.function(a, b)`.
+    """Make a function of a `File` from the text of a call, such as `module.function(a, b)`.
 
-    Here `a` and `b` are names of settings in `File.asked`, or of attributes of the file; `file` is the file itself.
+    The result imports the module and calls its function. An argument in the text is the name of a setting in
+    `File.asked`, or of an attribute of the file; `file` is the file itself.
 
     Raises:
-        InputError: the text is not such a call. A missing function raises the error when it is called.
+        InputError: the text is not such a call. If the function does not exist, the result raises the error.
     """
     if not isinstance(text, str) or (parts := CALL.fullmatch(text)) is None:
         raise InputError(f"a function call in a format must be module.function(argument), got {text!r}.")
@@ -156,8 +157,10 @@ def function_of(text: str) -> Callable[[File], Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Keyed:
-    """Description of a format of keys and values: the paths to the entries (such as cameras or tags) of a file, and to
-    the values of an entry. `lmd.formats.trees` explains paths.
+    """Description of a format of keys and values, such as YAML or JSON, by paths.
+
+    The paths lead to the entries of a file, such as cameras or tags, and to the values of an entry; see
+    `lmd.formats.trees`.
     """
 
     at: Mapping[str, str]
@@ -176,7 +179,10 @@ class Keyed:
     """Function call, as a text, that returns the tree of keys and values; empty for the tree of the file itself."""
 
     def entries(self, file: File) -> tuple[Any, list[tuple[str, Mapping[str, Any]]]]:
-        """The tree of keys and values in a file; and a list of the tree's entries, as pairs of key and entry."""
+        """The tree of keys and values in a file; and the entries of the tree, such as its cameras or tags.
+
+        An entry is a pair: its key, and the mapping of its keys and values.
+        """
         tree: Any = function_of(self.source)(file) if self.source else {}
         if not self.source:
             tree = matches(file.text, self.patterns) if self.patterns else file.data
@@ -185,17 +191,22 @@ class Keyed:
 
 
 def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
-    """Make a format from a row of a table.
+    """Make a format from a row of a table of formats.
 
-    A row has `name`, and `row` for the documentation. The keys `marks`, `text`, `head`, `ends`, `when` and `any` are
-    tests; a file is of the format if it passes all tests that the row has. Each of `marks` is a path that must lead to
-    a value; a regular expression after a `=` must match this value. A path after a `!` must lead to no value. `text` is
-    a regular expression that matches in the text, `head` one that matches in its beginning. `ends` lists suffixes of
-    the file's name; `when` is a call that returns True; `any` accepts all files. A row without tests describes a format
-    that is only written. `refuse` is the reason for a refusal. In it `{keys}` stands for the keys of the file,
-    `{known}` for the names of the formats that are read, and `{advice}` for the family's advice. `writes` has the
-    fields of a `Writer` and its `name` in `formats`. `read` is a call that reads a file; without `read`, the other keys
-    are the fields of the family's class in `KEYED`.
+    A row has these keys:
+
+    - `name`; and `row`, the format's row in the documentation.
+    - tests `text`, `head`, `ends`, `when`, `any` and `marks`. A file is of the format if it passes all tests of the
+      row. `text` is a regular expression that matches in the text, `head` one that matches in its beginning. `ends`
+      lists suffixes of the file's name; `when` is a call that returns True; `any` accepts all files. Each of `marks` is
+      a path that must lead to a value; a regular expression after a `=` must match this value. A path after a `!` must
+      lead to no value.
+    - `refuse`, the reason for a refusal. In it `{keys}` stands for the keys of the file, `{known}` for the names of the
+      formats that are read, and `{advice}` for the argument `advice`.
+    - `writes`, the fields of a `Writer` and the name of the writer in the option `formats`.
+    - `read`, a call that reads a file. Without `read`, the other keys are the fields of the family's class in `KEYED`.
+
+    A row without tests describes a format that is only written.
 
     Raises:
         InputError: the row lacks its name, or has an unknown key or value.
@@ -232,7 +243,10 @@ def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
 
 
 def _tests(row: dict[str, Any]) -> list[Callable[[Any], bool]]:
-    """Make the tests that a file of the row's format must pass; the keys of the tests are removed from `row`."""
+    """Make the tests of a format, functions of a file, from the keys of its row that `described` explains.
+
+    The keys of the tests are removed from `row`.
+    """
     tests: list[Callable[[Any], bool]] = [anything] if row.pop("any", False) else []
     if call := row.pop("when", None):
         tests.append(function_of(call))
@@ -358,6 +372,6 @@ def writers() -> dict[str, Writer]:
 
 
 def rows(family: str) -> list[str]:
-    """Rows of a family's table in the documentation, in alphabetical order."""
+    """Rows of the documentation's table of the formats of a family, in alphabetical order."""
     found = (row for form in formats(family) for row in form.row.splitlines())
     return sorted(found, key=lambda row: row.strip("`").lower())

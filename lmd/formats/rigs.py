@@ -27,8 +27,8 @@ def read_mount(path: Any, name: str | None = None) -> FloatArray:
     """Read the pose of a camera on its body, from the camera's optical frame to the body's frame, `(4, 4)`.
 
     Args:
-        path: a calibration with `T_cam_imu` (Kalibr), `T_imu_cam` (OpenVINS) or `T_SC` (OKVIS) for each camera, with
-            `T_BS` (EuRoC), or with a list `T_imu_cam` (Basalt).
+        path: a calibration that has `T_cam_imu` (Kalibr), `T_imu_cam` (OpenVINS) or `T_SC` (OKVIS) for each camera; or
+            `T_BS` (EuRoC); or a list `T_imu_cam` (Basalt).
         name: name of the camera, such as `cam0`, if there are several.
 
     Raises:
@@ -77,7 +77,9 @@ def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatAr
 
 
 def _poses(argument: str, path: Any, **shared: Any) -> dict[str, dict[str, FloatArray]]:
-    """Poses of the cameras in a calibration file, `(4, 4)`, keyed by the camera's name and then by frame of reference.
+    """Poses of the cameras in a calibration file, `(4, 4)`, keyed by the camera's name and then by `body` or `step`.
+
+    For these two poses see `lmd.formats.keyed_cameras.KeyedCameras`.
 
     Args:
         argument: name of the argument that gave the path, for messages.
@@ -108,10 +110,10 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
 
     Args:
         mounts: list of mappings with the arguments of `Mount`, in which `camera` is a calibration file or a mapping
-            with the arguments of `calibrated_camera`. Or one mapping: its `path` is a calibration file with poses, see
-            `read_chain`, with `names`, `image_size` and `distortion_model` if needed. The other keys of the mapping are
-            arguments of `Mount` for the pose of the first camera on the body. By default this camera is at the body's
-            origin and looks along the body's x axis.
+            with the arguments of `calibrated_camera`. Or one mapping for all cameras: its keys `path` (a calibration
+            file with poses), `names`, `image_size` and `distortion_model` are as for `read_chain`. The other keys of
+            the mapping are arguments of `Mount` for the pose of the first camera on the body. By default this camera is
+            at the body's origin and looks along the body's x axis.
         camera: default camera, for the mounts that state none.
 
     Raises:

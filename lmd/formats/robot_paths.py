@@ -82,8 +82,8 @@ def _joined(file: File) -> FloatArray:
 def _steps(command: Keys) -> list[str | float]:
     """Steps of a command of an auto, in order: the name of a path for a drive, a duration in seconds for a wait.
 
-    Of commands that run at the same time only one counts: the first that follows a path or, if none does, the first
-    that waits.
+    An auto is a sequence of drives and waits. Of commands that run at the same time only one counts; one that begins
+    with a drive is preferred.
     """
     kind, data = command.get("type"), mapping("data", command.get("data"))
     if kind == "path":
@@ -132,7 +132,7 @@ def _place(keys: Keys, name: str) -> list[float]:
 
 
 def _inside(zone: Keys, along: Any) -> Any:
-    """Mask of the points of a path that are in a zone.
+    """Mask of the points of a path that are in a zone, a part of the path with limits or headings of its own.
 
     `along` is the location of each point: index of a waypoint from 0, with fractions between two waypoints.
     """
@@ -140,7 +140,9 @@ def _inside(zone: Keys, along: Any) -> Any:
 
 
 def _limits(data: Keys, along: FloatArray) -> FloatArray:
-    """The three `LIMITS` at each of N points of a path, `(3, N)`; where zones overlap, the first zone counts.
+    """Limits of speed (m/s), acceleration (m/s^2) and turn rate (deg/s) at each of N points of a path, `(3, N)`.
+
+    A zone is a part of the path with limits of its own; where zones overlap, the first zone counts.
 
     Args:
         data: content of the path's file.

@@ -109,7 +109,7 @@ class TagMap:
 
     @cached_property
     def tags_by_surface(self) -> dict[int, IntArray]:
-        """For each surface of `route`, the positions of its tags in the array `order`, from 0."""
+        """Tags of each surface of `route`, as indices into the array `order`; keyed by the index of the surface."""
         return {index: np.flatnonzero(self.surfaces[self.order] == index) for index in self.route}
 
     @cached_property
@@ -134,13 +134,13 @@ class TagMap:
 
     @cached_property
     def by_size(self) -> list[tuple[Tag, IntArray]]:
-        """Tag type of each tag size, the smallest first, with the indices of its tags in the order of hanging."""
+        """For each tag size, the smallest first: the tag of this size, and indices of tags in the order of hanging."""
         own = self.sizes[self.order]
         return [(self.tag.of_size(edge), self.order[own == edge]) for edge in np.unique(own).tolist()]
 
     @property
     def edges_in_words(self) -> str:
-        """Text that states which edge lengths occur, mm, and to which square of a tag they refer."""
+        """Edge lengths of the tags, with the square to which they refer, in words: `80, 100 mm (black square)`."""
         return f"{', '.join(f'{MM_PER_M * tag.size:.4g}' for tag, _ in self.by_size)} mm ({self.tag.square})"
 
     @property
@@ -158,8 +158,10 @@ class TagMap:
 
     @property
     def roll_pitch_yaw(self) -> FloatArray:
-        """Rotations of the tags as roll, pitch and yaw of ROS's `setRPY`, `(K, 3)`, rad. The angles apply to tag frames
-        whose upward direction is that of OpenCV's tag pictures.
+        """Rotations of the tags as roll, pitch and yaw of ROS's `setRPY`, `(K, 3)`, rad, for programs that use OpenCV.
+
+        A tag's frame has x right, y up and z out. Up is as in OpenCV's pictures of tags, which show AprilTags upside
+        down.
         """
         from scipy.spatial.transform import Rotation
 

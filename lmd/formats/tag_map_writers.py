@@ -30,7 +30,7 @@ FIXED = {"position_noise": 1e-4, "rotation_noise": 1e-5}
 
 
 def write_apriltag_ros(path: Path, tags: TagMap) -> None:
-    """Write `tags.apriltag_ros.yaml` for ROS 1: one bundle, whose frame is the world frame.
+    """Write `tags.apriltag_ros.yaml` for ROS 1: the tags are one bundle (a rigid group), in the world frame.
 
     Source: AprilRobotics/apriltag_ros, `tags.yaml` and `TagDetector::addObjectPoints`.
     """
@@ -44,9 +44,10 @@ def write_apriltag_ros(path: Path, tags: TagMap) -> None:
 
 
 def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
-    """Write `tags.apriltag_ros2.yaml`: the parameters of the detector's node, with a name of a frame for each tag.
+    """Write `tags.apriltag_ros2.yaml`, the parameters of the node that detects tags.
 
-    The parameters list the tags to detect and their size, but no poses: programs that use the detections need a map.
+    The parameters list the ids and sizes of the tags, and name the frame of each tag. They have no poses: programs that
+    use the detections need a map.
 
     Source: christianrauch/apriltag_ros, `cfg` and `tag_functions`.
     """
@@ -60,9 +61,8 @@ def write_aruco(path: Path, tags: TagMap) -> None:
     """Write `tags.aruco.yaml`, the marker map of the ArUco library.
 
     Corners are in the order in which the library finds them, clockwise from the top left of the tag's own picture. The
-    library reads the code of an AprilTag from the top left, so a tag's upward direction is that of AprilTag. A family
-    that only OpenCV supports has OpenCV's name. Lines are indented as by OpenCV's `FileStorage`, which reads no other
-    indentation.
+    top of an AprilTag's picture is that of the AprilTag library, not that of OpenCV. A family that only OpenCV supports
+    has OpenCV's name. Lines are indented as by OpenCV's `FileStorage`, which reads no other indentation.
 
     Source: ArUco 3, `MarkerMap::saveToFile`, `Dictionary` and `DictionaryBased::touulong`.
     """
@@ -114,9 +114,9 @@ def write_rtabmap(path: Path, tags: TagMap) -> None:
 
 
 def write_tagslam(path: Path, tags: TagMap) -> None:
-    """Write `tags.tagslam.yaml`; users must add the camera's body and the parameters of TagSLAM.
+    """Write `tags.tagslam.yaml`, in which the room is a static body with the tags at their planned poses.
 
-    The room is a static body with the tags at their planned poses; rotations are rotation vectors.
+    Rotations are rotation vectors. Users must add the camera's body and the parameters of TagSLAM.
 
     Source: berndpfrommer/tagslam, `example/tagslam.yaml` and `Tag::get_object_corners`.
     """

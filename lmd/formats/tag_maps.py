@@ -70,8 +70,8 @@ def read_deployment(
     Args:
         path: path of the file.
         name: name of the argument that gave the path, for messages.
-        family: family of the tags, which the file must not contradict; None for points. The upward direction of tags
-            that OpenCV detects depends on the family.
+        family: family of the tags, which the file must not contradict; None for landmarks that are points. The upward
+            direction of tags that OpenCV detects depends on the family.
         axes: directions, in words, of the axes x, y and z of a tag's frame, for a file that does not define this frame,
             such as a table; see `lmd.formats.placed_tag.axes_of`.
         columns: for a text that does not name its columns, names of the columns, or name of the program that wrote it.

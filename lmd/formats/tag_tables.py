@@ -78,7 +78,7 @@ def read_tag_text(file: File) -> Found:
 
 
 def _landmarks(table: Table) -> list[PlacedTag]:
-    """Tags among the poses that RTAB-Map exports. Poses of tags have a negative id."""
+    """Tags in a table of poses that RTAB-Map exports; the poses with a negative id are those of tags."""
     numbers = table.numbers([ID], None)[:, 0].tolist()
     chosen = [i for i, number in enumerate(numbers) if number < 0.0]
     if not chosen:
@@ -168,9 +168,10 @@ def deployment_of(table: Table, axes: Sequence[str] | None) -> tuple[Deployment,
 
 
 def _numbered(table: Table) -> tuple[Table, list[str]]:
-    """Table whose column `id` has the number of each tag, even if the file has names; and the families in these names.
+    """Copy of a table in which the column `id` has numbers of tags; and a list of the families that the table names.
 
-    A name is, for instance, tag36h11:7. The families of the column `family` are listed, too.
+    In the file, this column may have another name, and names of tags such as tag36h11:7 instead of numbers. The
+    families are those in such names and in the column `family`.
 
     Raises:
         InputError: a table of poses lacks a column with the numbers of the tags, or has two such columns that differ.
@@ -204,7 +205,7 @@ def _numbered(table: Table) -> tuple[Table, list[str]]:
 
 
 def is_list(keys: Keys) -> bool:
-    """True if `keys` hold a list of tags with ids, or a mapping of tags that is keyed by their numbers."""
+    """True if the content `keys` of a file has a list of tags with ids, or a mapping of tags keyed by number."""
     return _list_of(keys) is not None
 
 

@@ -32,13 +32,13 @@ class TrajectoryFile(Checked):
     Args:
         path: file in a format of `lmd.formats.pose_files`, or a table with the columns time,x,y,z and a rotation. The
             rotation is qx,qy,qz,qw; roll,pitch,yaw of a body in ROS's convention; or yaw_from_y,pitch_up (and
-            roll_left) of a camera as in `lmd.geometry.frames.rotation`, also as time,x,y,z,yaw,pitch. Units are
-            seconds, metres and radians.
+            roll_left) of a camera as in `lmd.geometry.frames.rotation`. In a table with just time,x,y,z,yaw,pitch the
+            angles are also those of a camera, unless `frame` is `body`. Units are seconds, metres and radians.
         frame: frame of the orientations: `optical` (x right, y down, z the optical axis) or `body` (x along the optical
             axis, y left, z up; yaw, pitch and roll are then ROS's). Not used with a `mount`.
         align: pose of the recording's frame in the room: [x, y, z, yaw] for a frame with z up, yaw counter-clockwise
-            seen from above; or [x, y, z, qx, qy, qz, qw]. Or at least three points, each given by its coordinates in
-            the recording's frame and then in the room's frame.
+            seen from above; or [x, y, z, qx, qy, qz, qw]. Alternatively at least three points: six numbers for each,
+            its coordinates in the recording's frame and then in the room's frame.
         mount: pose of the camera on the recorded body: a calibration with extrinsics or {path, name}, see
             `lmd.formats.rigs`; or [x, y, z, yaw, pitch, roll] as in a rig (`lmd.scene.rig`).
         columns: for a text that does not name its columns, names of the columns, or name of a program, see
@@ -56,7 +56,7 @@ class TrajectoryFile(Checked):
 
     @cached_property
     def _read(self) -> tuple[Trajectory, Rows]:
-        """Trajectory of the camera in the room's frame; and the recorded poses as the file has them."""
+        """Trajectory of the camera in the room's frame; and the rows of the file, with poses as recorded."""
         if self.path is None:
             raise InputError("path is missing: a file of poses is needed.", "path")
         rows = read_rows(self.path, frame=self.frame, columns=self.columns)
@@ -91,12 +91,15 @@ class TrajectoryFile(Checked):
         return self.note_of("")
 
     def note_of(self, group: str) -> str:
-        """Note about the file, in which keys of the configuration get the prefix `group`."""
+        """Note about the file for the user, in which `group` precedes names of settings, as in `trajectory.align`."""
         notes = (*self._read[1].notes, self._doubt(group))
         return "; ".join(filter(None, notes))
 
     def _doubt(self, group: str) -> str:
-        """Question to the user, with the keys that answer it, if nearly all views look up or down; else ""."""
+        """Question to the user if nearly all views look up or down; else "".
+
+        `group` precedes names of settings, as in `trajectory.align`.
+        """
         trajectory, rows = self._read
         if rows.angles or not (said := steep(trajectory.poses[:, 2, 2], self.path)):
             return ""
@@ -125,7 +128,7 @@ def read_recorded_poses(path: str | None, group: str = "", **more: Any) -> Recor
 
     Args:
         path: path of the file, in a format that `TrajectoryFile` supports.
-        group: prefix of the keys of a configuration in the note.
+        group: prefix of the names of settings in the note for the user, such as `trajectory.`.
         more: other arguments of `TrajectoryFile` and of `RecordedPoses`.
 
     Raises:

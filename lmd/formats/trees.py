@@ -1,10 +1,9 @@
-"""Trees of keys and values, made from the content of files (YAML, JSON, XML, arrays, Python literals, other texts); and
-paths to values in a tree.
+"""Trees of keys and values, made from the content of files, and paths to the values in a tree.
 
-A path is a text of keys with dots between them, such as `pose.translation`; a key of a file may also contain dots. A
-number is an index into a list, or into the numbers in a text. A list of one entry stands for the entry, as XML does not
-distinguish one child from a list of children. Alternatives are separated by `|`, and the first alternative that leads
-to a value is taken.
+The content may be YAML, JSON, XML, arrays, Python literals or other texts. A path is a text of keys with dots between
+them, such as `pose.translation`; a key of a file may also contain dots. A number in a path is an index into a list, or
+into the numbers in a text. A list of one entry stands for the entry, as XML does not distinguish one child from a list
+of children. Alternative paths are separated by `|`; the first that leads to a value is taken.
 """
 
 import ast
@@ -60,13 +59,13 @@ def _at(tree: Any, path: str) -> Any:
 
 
 def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> Iterator[tuple[str, Keys]]:
-    """Yield the entries at a path of a tree, each with its key.
+    """Yield the entries at a path of a tree, such as cameras or tags, each with its key; an entry is a mapping.
 
-    A step `*` of the path stands for each entry of a list or a mapping, `/PATTERN/` for each key that matches a regular
-    expression. `**KEY` stands for the mappings at any depth that have the key KEY.
+    A step of the path is a key; or `*`, which stands for each entry of a list or a mapping; or `/PATTERN/`, for each
+    key that matches a regular expression; or `**KEY`, for the mappings at any depth that have the key KEY.
 
-    An entry also gets keys, with their values, of the mappings around it, unless it has these keys itself. It gets no
-    keys from other entries of its mapping. An entry that is not a mapping becomes the value of the key `value`.
+    An entry also gets the keys and values of the mappings that contain it, unless it has these keys itself. It gets no
+    keys from other entries beside it. A value that is not a mapping becomes a mapping with the one key `value`.
     """
     step, _, rest = path.partition(".")
     own, outer = dict(tree) if isinstance(tree, Mapping) else {}, around or {}
@@ -103,8 +102,10 @@ def plain(text: str) -> str:
 
 
 def numbers_of(value: Any, nested: int = NESTED) -> list[Any]:
-    """List of the numbers in a value: a number, a text of numbers, a mapping with the key `data`, or a list of these.
-    All other parts of the value become entries of the list as they are.
+    """Flatten a value to a list of its numbers.
+
+    A value is a number, a text of numbers, a mapping whose key `data` has the numbers, or a list of such values. All
+    other parts become entries of the result as they are.
     """
     if isinstance(value, Mapping) and "data" in value and nested:
         return numbers_of(value["data"], nested - 1)
@@ -213,8 +214,8 @@ def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY)
         most: maximum number of entries of an array that is kept.
 
     Raises:
-        InputError: the file cannot be read, is too large, or holds no array with at most `most` entries (Python objects
-            do not count).
+        InputError: the file cannot be read, is too large, or holds no array with at most `most` entries. Arrays of
+            Python objects are ignored.
     """
     content = read_bytes(path, name, largest)
     if not content.startswith(b"PK\x03\x04"):
@@ -245,7 +246,7 @@ def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY)
 
 @dataclass(frozen=True)
 class File:
-    """File of an unknown format; the file is read when its content is needed for the first time."""
+    """File whose format is not yet known; it is read when its content is needed for the first time."""
 
     path: Any
     """Path of the file."""

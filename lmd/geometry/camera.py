@@ -37,8 +37,8 @@ class FieldOfView(NamedTuple):
 
 
 def pixels(name: str, value: Any) -> float:
-    """Return `value` as a float if it is a whole number of pixels, at least 1; otherwise raise `InputError`. The error
-    calls the value `name`.
+    """Return `value` as a float if it is a whole number of pixels, at least 1; otherwise raise `InputError`. `name` is
+    the name of the value in the error message.
     """
     return float(integer(name, value, low=1))
 
@@ -134,7 +134,7 @@ class Camera(Checked):
     @property
     def _borders(self) -> FieldOfView:
         """Distances of the four image borders (left, right, top, bottom) from the principal point, in focal lengths.
-        Here the fields of `FieldOfView` are distances instead of angles.
+        The result is a `FieldOfView` with distances in place of angles.
         """
         u, v = self.principal_point
         width, height = self.pixel_width / self.focal_length, self.pixel_height / self.focal_length
@@ -150,8 +150,8 @@ class Camera(Checked):
         """Angles phi_l, phi_r, phi_t, phi_b between the optical axis and the image borders: atan(border distance on the
         sensor / f).
 
-        For a distorting lens, these are the angles of the rays through the point of each border that is nearest to the
-        principal point, at most `widest_angle`.
+        For a distorting lens, the angle of a border is that of the ray through the border's point nearest to the
+        principal point. It is at most `widest_angle`.
         """
         if self.lens is None:
             return FieldOfView(*map(math.atan, self._borders))
@@ -184,8 +184,8 @@ class Camera(Checked):
     def depth_of_field(self, circle_of_confusion: float) -> tuple[float, float]:
         """Compute the near and far limits d_n, d_f of acceptable focus, metres.
 
-        With the aperture d_a, the focus distance d_s, the focal length f, and the pixel size s_u x s_v, let b = delta
-        min(s_u, s_v). Then d_n = d_a d_s f / (d_a f + b (d_s - f)) and d_f = d_a d_s f / (d_a f - b (d_s - f)). The far
+        d_n = d_a d_s f / (d_a f + b (d_s - f)) and d_f = d_a d_s f / (d_a f - b (d_s - f)). Here d_a is the aperture,
+        d_s the focus distance, f the focal length, and b = delta min(s_u, s_v) for the pixel size s_u x s_v. The far
         limit is infinite if the focus is at or beyond the hyperfocal distance, that is, if d_a f <= b (d_s - f). If
         focused at infinity, d_n = d_a f / b.
 
@@ -213,5 +213,5 @@ class Camera(Checked):
         return self.image_distance / (MM_PER_M * max(self.pixel_width, self.pixel_height))
 
     def resolution_depth(self, threshold: float) -> float:
-        """Depth at which the resolution falls to `threshold` pixels per mm, metres."""
+        """Depth, metres, at which the resolution falls to `threshold`, pixels per mm."""
         return self.resolution_at_one_metre / threshold

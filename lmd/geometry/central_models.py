@@ -1,20 +1,20 @@
-"""Camera models with one centre of projection that other programs use. Each is approximated by a lens of
-`lmd.geometry.lens`.
+"""Camera models of other programs, each approximated by a lens of `lmd.geometry.lens`. All have one centre of
+projection.
 
-A point (u, v, w) at the distance r is projected to (u, v) / d, in units of the model's focal lengths. The first three
-models differ in d.
+The first three models project a point (u, v, w) at the distance r to (u, v) / d, in units of the model's focal lengths.
+They differ in d.
 
 - the double sphere of Usenko, Demmel and Cremers (2018), `ds`: d = alpha sqrt(u^2 + v^2 + s^2) + (1 - alpha) s with
   s = xi r + w.
-- the extended unified model of Khomutenko, Garcia and Martinet (2016), `eucm`:
-  d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w.
+- the extended unified model of Khomutenko, Garcia and Martinet (2016), `eucm`: d = alpha sqrt(beta (u^2 + v^2) + w^2) +
+  (1 - alpha) w.
 - the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, followed by Brown-Conrady distortion.
 
-The other models are pinholes: the projected point is a polynomial of (x, y) = (u, v) / w. Let s = x^2 + y^2 and
-g = 1 + k1 s + k2 s^2 + k3 s^3.
+The other two models, of RealSense, are pinholes with a polynomial of (x, y) = (u, v) / w, similar to that of Brown and
+Conrady. Let s = x^2 + y^2 and g = 1 + k1 s + k2 s^2 + k3 s^3.
 
-- `modified_brown_conrady`, a model of RealSense: the tangential terms are evaluated at (g x, g y) instead of (x, y).
-- `inverse_brown_conrady`, a model of RealSense: the polynomial maps the projected point to (x, y).
+- `modified_brown_conrady`: the tangential terms are evaluated at (g x, g y) instead of (x, y).
+- `inverse_brown_conrady`: the polynomial maps the projected point to (x, y).
 
 `nearest_lens` fits a lens to a model by least squares of the differences between projected points, pixels, over the
 whole image.
@@ -182,8 +182,8 @@ def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequen
         focal: focal lengths (f_x, f_y), pixels.
         centre: principal point (c_x, c_y), pixels from the centre of the first pixel.
         size: width and height of the image, pixels.
-        guess: coefficients of a `BrownConrady` lens that is similar to the model. The fit begins with this lens,
-            extended by a thin prism. If empty, the fit begins with a fisheye.
+        guess: first coefficients of a `BrownConrady` lens that is similar to the model, from which the fit starts. If
+            empty, or if this fit is poor, a fisheye is fitted.
 
     Raises:
         InputError: the model projects no point near the optical axis, or all fitted lenses differ from the model by

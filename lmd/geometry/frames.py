@@ -17,7 +17,8 @@ ZERO_ANGLES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def rotation(yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatArray:
-    """Rotation matrix from the world frame to the local frame, R = R^gamma R^beta R^alpha R_0 (frame equation).
+    """Rotation matrix from the world frame to the local frame, R = R^gamma R^beta R^alpha R_0 (frame equation). R_0 is
+    the rotation at zero angles; alpha is yaw, beta is pitch and gamma is roll.
 
     Args:
         yaw, pitch, roll: angles in radians, shapes that broadcast to `(...)`.

@@ -37,8 +37,8 @@ DEGREE, ROUNDED = 5, 1e-9
 
 
 class Profile(NamedTuple):
-    """Radius in the image and local scales of a lens at angles theta from the optical axis; all arrays have the shape
-    of theta.
+    """Radius in the image and local scales (image length per angle) of a lens, at given angles from the optical axis.
+    All arrays have the shape of the angles theta.
     """
 
     inner: FloatArray
@@ -52,18 +52,22 @@ class Profile(NamedTuple):
 
     @property
     def least(self) -> FloatArray:
-        """Lower bound on the local scale at each angle theta, for any direction in the image, focal lengths per rad."""
+        """Lower bound on the local scale (image length per angle) in any direction, for each angle theta, focal lengths
+        per rad.
+        """
         return np.asarray(np.minimum(self.along, self.across) - self.sway)
 
     @property
     def most(self) -> FloatArray:
-        """Upper bound on the local scale at each angle theta, for any direction in the image, focal lengths per rad."""
+        """Upper bound on the local scale (image length per angle) in any direction, for each angle theta, focal lengths
+        per rad.
+        """
         return np.asarray(np.maximum(self.along, self.across) + self.sway)
 
 
 class Stretch(NamedTuple):
-    """Bounds on the local scale of a lens (image length per angle), valid up to some angle from the optical axis, see
-    `Lens.stretch`.
+    """Bounds on the local scale of a lens (image length per angle), see `Lens.stretch`. They are valid up to some angle
+    from the optical axis.
     """
 
     least: float
@@ -108,8 +112,8 @@ class Lens:
 
     @cached_property
     def model_numbers(self) -> BrownConrady | Equidistant:
-        """Coefficients as a named tuple. The class of the tuple selects the functions of `lens_models` in compiled
-        code.
+        """Coefficients as a named tuple. Compiled code selects the functions of `lens_models` by the class of this
+        tuple.
         """
         if self.model == EQUIDISTANT:
             return Equidistant(*self.coefficients)
@@ -129,8 +133,8 @@ class Lens:
         return np.stack(slopes, axis=-1).reshape(*points.shape[:-1], 2, 3)
 
     def directions(self, image: FloatArray) -> FloatArray:
-        """Unproject image points `image` `(..., 2)` to unit vectors `(..., 3)`; NaN for points without a direction.
-        Only directions within the fold, up to which the model is valid, count.
+        """Unproject image points `image` `(..., 2)` to unit vectors `(..., 3)`. NaN for points to which no direction
+        within the fold is projected; beyond the fold the model is invalid.
 
         Newton's method first finds the angle theta without the tangential terms and the prism, and then refines the
         direction with all terms.
@@ -155,8 +159,8 @@ class Lens:
 
     @cached_property
     def _radii(self) -> tuple[FloatArray, FloatArray]:
-        """Samples of the projection without tangential terms and prism: radii in the image, and the angles from the
-        optical axis, up to the fold, that are projected to these radii, `(ANGLE_SAMPLES,)` each.
+        """Table of the projection without tangential terms and prism, `(ANGLE_SAMPLES,)` each: radii in the image and
+        angles. Each radius is the image of the angle from the optical axis; angles end at the fold.
         """
         theta = np.linspace(0.0, self.fold, ANGLE_SAMPLES)
         return self.profile(theta).across * np.sin(theta), theta
@@ -199,7 +203,7 @@ class Lens:
         return _border(lambda angle: self.profile(angle).inner >= reach, 0.0, self.fold)
 
     def stretch(self, widest: float, power: int = 0) -> Stretch:
-        """Bounds on the local scale up to the angle `widest` from the optical axis, rad.
+        """Bounds on the local scale (image length per angle) up to the angle `widest` from the optical axis, rad.
 
         With `power` 1, the bounds are on ratios of the lens's scale to a pinhole's scale. The pinhole's scale is
         1 / cos(theta) for `least`, 1 / cos(theta)^2 for `most`, 1 / cos(theta)^3 for `least_area` and `most_area`.
@@ -249,8 +253,8 @@ def approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]:
 
 @lru_cache(maxsize=64)
 def ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
-    """Coefficients of an upper bound on the local scale at angles theta <= `widest`, rad: a polynomial in h = 1 -
-    cos(theta).
+    """Coefficients of a polynomial in h = 1 - cos(theta) that is an upper bound on the local scale (image length per
+    angle). The bound is valid at angles theta <= `widest` from the optical axis, rad.
     """
     theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
     height, most = 1.0 - np.cos(theta), np.maximum.accumulate(lens.profile(theta).most)
@@ -273,7 +277,9 @@ def lens_of(model: str, distortion: Any) -> Lens | None:
 
 
 def _border(reached: Callable[[Any], Any], low: float, high: float) -> float:
-    """Largest number in [low, high) at which the condition `reached` is false, found by bisection."""
+    """Largest number in [low, high) at which the condition `reached` is false, by bisection. The condition must be
+    false below this number and true above.
+    """
     while low < (middle := (low + high) / 2.0) < high:
         low, high = (low, middle) if reached(np.float64(middle)) else (middle, high)
     return float(low)

@@ -11,8 +11,8 @@ is
     (x g + 2 p1 x y + p2 (s + 2 x^2) + s1 s + s2 s^2, y g + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2),
     g = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3).
 
-`Equidistant` is a fisheye (Kannala and Brandt, 2006). A point at the angle theta from the optical axis is projected to
-the distance t(theta) from the principal point, also if the point is behind the camera. Here
+`Equidistant` is a fisheye (Kannala and Brandt, 2006). It projects a point at the angle theta from the optical axis to
+the distance t(theta) from the principal point. Points behind the camera are projected, too. Here
 t(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
 Sources: `cv2.projectPoints`, `cv2.fisheye`; `sensor_msgs/distortion_models` for the names.
@@ -75,8 +75,8 @@ def slope_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
 
 @dispatched
 def depth_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Depth of a point, on which the point's focus and apparent size depend. It is the coordinate w for a pinhole, the
-    distance from the camera for a fisheye.
+    """Depth of a point: its coordinate w for a pinhole, its distance from the camera for a fisheye. The defocus blur
+    and the apparent size of the point depend on it.
     """
 
 
@@ -125,10 +125,10 @@ def _depth_brown_conrady(lens, u, v, w):  # type: ignore[no-untyped-def]
 
 @inlined
 def _polar(r: Any, w: Any) -> Any:
-    """Polar quantities of a point at distance r from the optical axis and w along the axis: its angle theta in [0, pi],
-    theta / r, and r^2 + w^2.
+    """Polar coordinates of a point at the distance r from the optical axis and the coordinate w along the axis. Returns
+    its angle theta in [0, pi] from the axis, theta / r, and r^2 + w^2.
 
-    theta = 4 atan(p), or pi - 4 atan(p). The arctangent is a polynomial, as libraries differ in its last bits.
+    The arctangent is computed by a polynomial, as the last bits differ between libraries.
     """
     squared = r * r + w * w
     both = np.sqrt(squared) + abs(w)

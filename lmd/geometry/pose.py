@@ -36,7 +36,7 @@ class Solution(NamedTuple):
 
 
 class PointImage(NamedTuple):
-    """Image points of known world points in one camera of a body."""
+    """Image, in one camera of a body, of points with known positions in the world."""
 
     camera: Camera
     """Intrinsics and lens of the camera."""
@@ -62,8 +62,8 @@ class PointImage(NamedTuple):
 def image_slopes(camera: Camera, mounted: FloatArray, y: FloatArray) -> FloatArray:
     """Jacobian of the projection of points with respect to a twist (w, v) of the body, pixels, `(..., 2, 6)`.
 
-    A twist (w, v) of the camera moves a point y in the camera frame by y x w - v. A twist (w, v) of the body moves a
-    camera with the mount M by the twist Ad_{M^-1} (w, v).
+    The mount M is the pose of the camera in the body frame. A twist (w, v) of the body moves the camera by the twist
+    Ad_{M^-1} (w, v). A twist (w, v) of the camera moves a point y in the camera frame by y x w - v.
 
     Args:
         camera: intrinsics and lens.
@@ -76,8 +76,8 @@ def image_slopes(camera: Camera, mounted: FloatArray, y: FloatArray) -> FloatArr
 def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
     """Candidate poses of a body from simultaneous images of its cameras, in ascending order of the reprojection error.
 
-    The `solutions` of each camera with at least four points are refined by Gauss-Newton on the images of all cameras.
-    The list is empty if no camera has four points.
+    Each camera with at least four points proposes poses (see `solutions`), which are refined by Gauss-Newton on the
+    images of all cameras. The list is empty if no camera has four points.
     """
     images = [image for image in images if len(image.points)]
     own = [

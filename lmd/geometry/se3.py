@@ -27,8 +27,8 @@ ROW = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatArray:
-    """Pose X of a camera at `position` `(..., 3)`, metres. Yaw, pitch and roll `(...)`, rad, are those of
-    `frames.rotation`.
+    """Pose X of a camera at `position` `(..., 3)`, metres. Yaw, pitch and roll `(...)`, rad, have the meaning that they
+    have in `frames.rotation`.
 
     Returns:
         poses `(..., 4, 4)`.
@@ -44,7 +44,8 @@ def pose_of(orientation: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def poses_from_rows(rows: FloatArray, lines: Sequence[int] | None = None) -> FloatArray:
-    """Poses `(T, 4, 4)` from T rows of a file, `(T, 7)`; the columns `ROW` are a position and a quaternion.
+    """Poses `(T, 4, 4)` from T rows of a file, `(T, 7)`. The columns are a position and a quaternion, in the order of
+    `ROW`.
 
     Args:
         lines: number of each row's line in the file, from 1, for error messages.
@@ -116,8 +117,8 @@ def act(pose: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def axis_and_right(pose: FloatArray) -> FloatArray:
-    """Optical axis, and direction to the right in the image, `(..., 6)`, of camera poses X `(..., 4, 4)`. Both are unit
-    vectors in the world frame.
+    """Optical axis of each camera pose, followed by the direction to the right in the image, `(..., 6)`. Both are unit
+    vectors in the world frame. `pose` has the camera poses X `(..., 4, 4)`.
     """
     return np.concatenate([pose[..., :3, 2], pose[..., :3, 0]], axis=-1)
 
@@ -132,8 +133,8 @@ def skew(vector: FloatArray) -> FloatArray:
 
 
 def seen_by_twist(points: FloatArray) -> FloatArray:
-    """Derivative [[y]x -I] of the coordinates y `(..., 3)` of points in the frame of a pose X, with respect to a twist
-    (w, v) that changes X to X exp(w, v).
+    """Derivative [[y]x -I] of a point y with respect to a twist (w, v). The point has the coordinates y in the frame of
+    a pose X, and the twist changes X to X exp(w, v). `points` `(..., 3)` has the points y.
 
     Returns:
         matrices `(..., 3, 6)`.
@@ -163,7 +164,9 @@ def adjoint_matrix(pose: FloatArray) -> FloatArray:
 
 
 def bracket_matrix(twist: FloatArray) -> FloatArray:
-    """Matrix ad_u = [[w]x 0; [v]x [w]x] of the Lie bracket, with exp(ad_u) = Ad_exp(u), `(..., 6)` -> `(..., 6, 6)`."""
+    """Matrix ad_u = [[w]x 0; [v]x [w]x] of the Lie bracket for a twist u = (w, v): exp(ad_u) = Ad_exp(u). Twists
+    `(..., 6)` give matrices `(..., 6, 6)`.
+    """
     matrix = np.zeros((*twist.shape, 6))
     matrix[..., :3, :3] = matrix[..., 3:, 3:] = skew(twist[..., :3])
     matrix[..., 3:, :3] = skew(twist[..., 3:])
@@ -171,7 +174,8 @@ def bracket_matrix(twist: FloatArray) -> FloatArray:
 
 
 def left_jacobian(twist: FloatArray) -> FloatArray:
-    """Left Jacobian J(u) = integral of Ad_exp(s u) over s from 0 to 1, of twists u, `(..., 6)` -> `(..., 6, 6)`.
+    """Left Jacobian of a twist u, J(u) = integral of Ad_exp(s u) over s from 0 to 1. Twists `(..., 6)` give matrices
+    `(..., 6, 6)`.
 
     exp(u + d) = exp(J(u) d) exp(u) to first order in d; the right Jacobian is J(-u). The powers of ad_u above the
     fourth follow from ad_u^5 = -2 t^2 ad_u^3 - t^4 ad_u with t = |w|.
@@ -194,10 +198,10 @@ def left_jacobian(twist: FloatArray) -> FloatArray:
 
 
 def exp(twist: FloatArray) -> FloatArray:
-    """Exponential map se(3) -> SE(3), `(..., 6)` -> `(..., 4, 4)`.
+    """Exponential map se(3) -> SE(3): poses `(..., 4, 4)` from twists (w, v) `(..., 6)`.
 
-    R = I + a [w]x + b [w]x^2 and p = (I + b [w]x + c [w]x^2) v with t = |w|. The factors are a = sin t / t,
-    b = (1 - cos t) / t^2 and c = (t - sin t) / t^3.
+    The pose [R p; 0 1] has R = I + a [w]x + b [w]x^2 and p = (I + b [w]x + c [w]x^2) v with t = |w|. The factors are
+    a = sin t / t, b = (1 - cos t) / t^2 and c = (t - sin t) / t^3.
     """
     squared = (twist[..., :3] ** 2).sum(axis=-1)
     small = squared < SMALL_ANGLE**2
@@ -212,7 +216,7 @@ def exp(twist: FloatArray) -> FloatArray:
 
 
 def log(pose: FloatArray) -> FloatArray:
-    """Twist of least angle whose exponential is `pose`, `(..., 4, 4)` -> `(..., 6)`."""
+    """Twist `(..., 6)` of least angle whose exponential is `pose` `(..., 4, 4)`."""
     from scipy.spatial.transform import Rotation
 
     leading = pose.shape[:-2]

@@ -57,7 +57,7 @@ def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 @inlined
 def upright_axes(normal: Vector, level: float) -> tuple[Vector, Vector]:
     """Right and up vectors of an upright tag with one unit normal, in compiled code, see `upright`. `level` is
-    `VERTICAL_TOLERANCE`, the largest horizontal part of a normal that counts as vertical.
+    `VERTICAL_TOLERANCE`. A normal counts as vertical if the length of its horizontal part is at most `level`.
     """
     nx, ny, nz = normal
     across = nx * nx + ny * ny

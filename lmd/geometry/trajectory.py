@@ -39,16 +39,16 @@ class Trajectory:
         return pose_of(turns.as_matrix(), way)
 
     def steps_at(self, seconds: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Frame before each of the times `seconds` `(n,)`, and fraction of the step to the next frame that has passed.
-        The index of the frame and the fraction have the shape `(n,)` each.
+        """Locate the times `seconds` `(n,)` between frames. Returns the index of the frame before each time, `(n,)`,
+        and the fraction of the time step to the next frame that has passed, `(n,)`.
         """
         first = np.clip(np.searchsorted(self.time, seconds, side="right") - 1, 0, len(self.time) - 2)
         return first, (seconds - self.time[first]) / (self.time[first + 1] - self.time[first])
 
     @property
     def twists(self) -> FloatArray:
-        """Body twists U between successive frames, with X_t+1 = X_t exp(h U) for the time step h, `(T - 1, 6)`, rad/s
-        and m/s.
+        """Body twists U between successive frames, `(T - 1, 6)`, rad/s and m/s. They are defined by
+        X_t+1 = X_t exp(h U) for the time step h.
         """
         return log(inverse(self.poses[:-1]) @ self.poses[1:]) / np.diff(self.time)[:, None]
 

@@ -1,5 +1,5 @@
-"""Operations on vectors in compiled code. A vector is a tuple of three numbers, or of three arrays in the NumPy
-reference. Sums are computed from left to right.
+"""Operations on vectors in compiled code. A vector is a tuple of three numbers; NumPy code that calls these functions
+uses tuples of three arrays. Sums are computed from left to right.
 """
 
 from typing import Any, TypeAlias

@@ -1,4 +1,4 @@
-"""Incremental evaluation: after the move of one landmark, counts and probabilities are updated instead of recomputed.
+"""Incremental evaluation: after the move of one landmark, only the affected counts and probabilities are updated.
 
 The updated values equal recomputed values exactly.
 """

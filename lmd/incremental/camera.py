@@ -1,8 +1,7 @@
 """Moves and occlusion of landmarks seen by a single camera, whose centre does not depend on the orientation.
 
 A landmark that is hidden from a position for one orientation is hidden for all orientations. So a state has two numbers
-for each landmark and position: the number of landmarks that hide this landmark, and the number that this landmark
-hides.
+for each landmark and position: the number of other landmarks that hide it, and the number of landmarks that it hides.
 """
 
 from typing import Any
@@ -105,10 +104,11 @@ def _clear_views(scratch: Any) -> None:
 
 @inner
 def view_place(k: Integer, field: Any, scratch: Any) -> None:
-    """Compute the view of the place tried from each nearby position, ignoring other landmarks, and write it to three
-    arrays of the scratch. `seen` gets the offset of the place and bounds on its depth. The flag `REACHED` is True if
-    some axis may cover the place. `cell` gets the cell of the direction tables that contains the direction of the
-    place.
+    """Compute how a single camera sees the moving landmark's new place from each nearby position.
+
+    Other landmarks are ignored. Three arrays of the scratch are filled. `seen` gets the offset of the place and bounds
+    on its depth. The flag `REACHED` tells if some orientation may cover the place. `cell` gets the cell of the
+    direction tables (`lmd.sight.directions`) with the direction of the place.
     """
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
@@ -126,7 +126,7 @@ def view_place(k: Integer, field: Any, scratch: Any) -> None:
 
 @allocating
 def _block(k: Integer, camera: Any, scratch: Any) -> None:
-    """Set the flag `REACHED` to False at the positions from which an obstacle of the room hides the place tried."""
+    """Set `REACHED` to False at the positions from which an obstacle of the room hides the landmark's new place."""
     reached, first, last = scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
     ends, sight = new_ends(camera.obstacles, 1), sized(camera.sight, k)
     place, normal = target_of(scratch)
@@ -230,9 +230,7 @@ def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any)
 
 @inlined
 def _swap(one: Any, other: Any, first: Integer, last: Integer) -> None:
-    """Exchange the elements `first` to `last - 1` of two arrays in place. A separate function, so that the loop
-    vectorises.
-    """
+    """Exchange the elements `first` to `last - 1` of two arrays in place."""
     for p in range(first, last):
         one[p], other[p] = other[p], one[p]
 
@@ -266,8 +264,9 @@ def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> 
 
 @inner
 def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
-    """Limit the flag `WANTED` to the blocks of positions with a position from which landmark k hides another landmark
-    or is hidden by one. Only these few blocks have to be searched.
+    """Clear the flag `WANTED` of the blocks of positions that need no search for occlusion at the landmark's old place.
+
+    In a block that keeps the flag, landmark k hides another landmark from some position, or is hidden by one.
     """
     hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
     for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
@@ -279,9 +278,10 @@ def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
 
 @inlined
 def _hide_from(p: Integer, one: Any, pose: Any, two: Any, other: Any, positions: FloatArray) -> Any:
-    """Two flags for two landmarks as seen from position p: True if the first hides the second, and True if the second
-    hides the first. `one` and `two` are the models of sight of the first and of the second landmark, `pose` and `other`
-    their positions and normals.
+    """Two flags as seen from position p: the first landmark hides the second, and the second hides the first.
+
+    `one` and `two` are the models of sight of the first and of the second landmark; `pose` and `other` are their
+    positions and normals.
     """
     (place, facing), (there, turned), at = pose, other, column3(positions, p)
     a, b = minus3(place, at), minus3(there, at)
@@ -306,9 +306,10 @@ def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, f
 
 @inlined
 def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch: Any) -> None:
-    """Record in the scratch the occlusion between landmark i and the moving landmark, as seen from position p. The
-    moving landmark is at the place with the `role` (old place or place tried). It hides landmark i if `one` is True,
-    and is hidden by landmark i if `two` is True.
+    """Record in the scratch the occlusion between landmark i and the moving landmark, as seen from position p.
+
+    `role` selects the place of the moving landmark, see `find_pairs`. `one` is True if the moving landmark hides
+    landmark i, `two` is True if landmark i hides the moving landmark.
     """
     changes, hides = scratch.changes, scratch.hides
     if role != OLD_PLACE:
@@ -325,15 +326,17 @@ def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch:
 
 @inlined
 def turns(reachable: Any, was: Any, now: Any) -> Any:
-    """True if a landmark appears or disappears when the number of landmarks that hide it changes from `was` to `now`.
-    `reachable` is True if some axis covers the landmark, occlusion ignored.
+    """True if a landmark is hidden before or after a move, but not both.
+
+    `was` and `now` are the numbers of landmarks that hide it. The result is False unless `reachable` is True: some
+    orientation covers the landmark, occlusion ignored.
     """
     return reachable & ((was == 0) != (now == 0))
 
 
 @inner
 def _touch_flips(state: Any, scratch: Any) -> None:
-    """Mark as `TOUCHED` the positions from which the move makes another landmark appear or disappear."""
+    """Mark as `TOUCHED` the positions from which the trial move makes another landmark visible or hidden."""
     hidden, reachable, changes = state.hides[HIDDEN], state.reachable, scratch.changes[HIDDEN]
     for e in range(scratch.numbers[PAIR_COUNT]):
         i, p = np.uint64(scratch.pairs[LANDMARK, e]), np.uint64(scratch.pairs[POSITION, e])

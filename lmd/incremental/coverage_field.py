@@ -1,5 +1,6 @@
-"""Field (incremental evaluator) of coverage, for a camera or a rig: it updates P_n, the probability that n landmarks
-are covered, at every position when single landmarks move.
+"""Field (incremental evaluator) of coverage, for a camera or a rig.
+
+When single landmarks move, the field updates P_n, the probability that n landmarks are covered, at every position.
 """
 
 from typing import Any, NamedTuple
@@ -38,9 +39,7 @@ CAMERA_BYTES = 3 / 8
 
 
 class OneCamera(NamedTuple):
-    """Data of a single camera for Q positions and all orientations of the scene's PDF (the probability of each
-    orientation).
-    """
+    """Data of a single camera for Q positions and all orientations of the scene's PDF."""
 
     sight: Any
     """Compiled model of sight."""
@@ -61,17 +60,18 @@ class OneCamera(NamedTuple):
 
     @property
     def sights(self) -> tuple[Any, ...]:
-        """Models of sight, one for each kind of camera."""
+        """Models of sight, one for each kind of camera; here a single one."""
         return (self.sight,)
 
     def with_sights(self, change: Any) -> "OneCamera":
-        """Copy of the camera with the model of sight `change(sight)`, where `sight` is the present model of sight."""
+        """Copy of the camera with another model of sight: the result of the function `change` for the present model."""
         sight = change(self.sight)
         return self._replace(sight=sight, horizon=horizon_of(sight))
 
     def state(self, shared: dict[str, Any]) -> State:
-        """New state in which no landmark is counted. `shared` has the fields of the state that do not depend on the
-        cameras, keyed by name.
+        """New state (coverage of a deployment) whose landmarks are not counted yet.
+
+        `shared` has the state's attributes that do not depend on the camera, keyed by name.
         """
         (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
         check_views(LANDMARK_BYTES, size, BITS * words, count)
@@ -88,9 +88,7 @@ class OneCamera(NamedTuple):
 
 
 class RigCameras(NamedTuple):
-    """Data of a rig's cameras for Q positions of the rig's body and all orientations of the scene's PDF (the
-    probability of each orientation).
-    """
+    """Data of a rig's cameras for Q positions of the rig's body and all orientations of the scene's PDF."""
 
     groups: tuple[MountGroup, ...]
     """Mounts, grouped by kind of camera. A group has G offsets `MountGroup.places`; the obstacles seen by the camera at
@@ -108,12 +106,13 @@ class RigCameras(NamedTuple):
         return tuple(group.sight for group in self.groups)
 
     def with_sights(self, change: Any) -> "RigCameras":
-        """Copy of the rig with the models of sight `change(sight)`, where `sight` is each present model of sight."""
+        """Copy of the rig with other models of sight: the results of the function `change` for the present models."""
         return RigCameras(tuple(with_sight(group, change(group.sight)) for group in self.groups))
 
     def state(self, shared: dict[str, Any]) -> RigState:
-        """New state in which no landmark is counted. `shared` has the fields of the state that do not depend on the
-        cameras, keyed by name.
+        """New state (coverage of a deployment) whose landmarks are not counted yet.
+
+        `shared` has the state's attributes that do not depend on the cameras, keyed by name.
         """
         (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
         mounts = [len(group.axes) for group in self.groups]
@@ -131,7 +130,7 @@ class RigCameras(NamedTuple):
 
 
 class CoverageField(NamedTuple):
-    """Constant data of the field of coverage (an incremental evaluator); a `lmd.incremental.field.Field`."""
+    """Constant data of the incremental evaluator (field) of coverage; a `lmd.incremental.field.Field`."""
 
     positions: np.ndarray
     """`(3, Q)` positions in blocks of `BLOCK` neighbours, the last block padded with copies; metres."""
@@ -177,14 +176,14 @@ class CoverageField(NamedTuple):
 
     @property
     def stack(self) -> int:
-        """See `Stacking.stack`; 0 for tags of several sizes, which form no stacks."""
+        """Number of landmarks in a stack, see `Stacking.stack`; 0 for tags of several sizes, which form no stacks."""
         return self.n if all(np.ndim(half_edge(sight)) == 0 for sight in self.cameras.sights) else 0
 
     def stacked(self, fixed: Deployment | None) -> "CoverageField":
-        """See `Stacking.stacked`.
+        """Field in which each landmark represents a stack of n landmarks at one place, see `Stacking.stacked`.
 
-        Without occlusion, a stack of n landmarks is covered if one landmark at its place is covered, so n becomes 1. An
-        axis that covers n of the `fixed` landmarks counts as an axis that covers one stack.
+        Stacked landmarks do not hide each other, so n becomes 1. An orientation that covers n of the `fixed` landmarks
+        counts as an orientation that covers one stack.
         """
         counted_once = self.counted_once
         if fixed is not None:

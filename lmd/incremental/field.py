@@ -1,15 +1,16 @@
-"""Fields, which are incremental evaluators: they update the value of each position when a single landmark moves. A
-`Target` computes the fitness from the values.
+"""Fields (incremental evaluators), which update the value of each position when a single landmark moves.
 
-`annealing` optimises any objective with a field. A field is a named tuple of constant arrays. A *state* has the arrays
-that change with the landmarks, and a *scratch* is working memory with the arrays of a move that is tried. A move
-consists of
+A field is a named tuple of constant arrays. Its *state* has the arrays that change with the landmarks, and its
+*scratch* is working memory with the arrays of a move that is tried. A move consists of the steps
 
     bound -> settle -> accept (-> undo),
 
-and may be dropped after `bound` or after `settle`. A field that is not a named tuple registers plain Python functions,
-and kernels then run as plain Python (`runner`). Values are quantised probabilities: integers, of which
-`PROBABILITY_ONE` represents the probability 1. Sums of integers are exact, so updated values equal recomputed values.
+and may be dropped after `bound` or after `settle`. A `Target` computes the fitness from the values. `annealing`
+optimises any objective with a field.
+
+A field that is not a named tuple registers plain Python functions, and kernels then run as plain Python (`runner`).
+Values are quantised probabilities: integers, of which `PROBABILITY_ONE` represents the probability 1. Sums of integers
+are exact, so updated values equal recomputed values.
 """
 
 from collections.abc import Callable
@@ -26,11 +27,10 @@ from lmd.scene.deployment import Deployment
 
 
 class Field(Protocol):
-    """Interface of fields (incremental evaluators); a class must register versions of `bound`, `settle`, `accept` and
-    `undo`.
+    """Interface of fields (incremental evaluators); a class must register `bound`, `settle`, `accept` and `undo`.
 
-    A state has `poses` `(6, K)` (positions, metres, and unit normals), `surfaces` `(K,)` and the quantised values
-    `units` `(Q,)` int64. A scratch has `units`, the quantised values after the move tried last.
+    A state has `poses` `(6, K)` (positions, metres, and unit normals), `surfaces` `(K,)` and the values `units` `(Q,)`,
+    quantised to int64. A scratch has `units`, the quantised values after the move tried last.
     """
 
     @property
@@ -41,7 +41,7 @@ class Field(Protocol):
 
     @property
     def index_of(self) -> Any:
-        """For each position of the evaluator, its index among the positions of the field, `(P,)`."""
+        """Index of each position of the evaluator among the positions of the field, `(P,)`."""
 
     def state(self, deployment: Deployment) -> Any:
         """New state: the arrays that change with the landmarks, filled for a deployment."""
@@ -64,8 +64,9 @@ class Stacking(Protocol):
         """
 
     def shrunk(self, size: float) -> Field:
-        """Field in which the body of each landmark that blocks the view is scaled by the factor `size`; used to
-        separate the landmarks of a stack.
+        """Field in which each landmark hides less: the part that blocks the view is scaled by the factor `size`.
+
+        Optimisers use it to separate the landmarks of a stack.
         """
 
 
@@ -75,8 +76,9 @@ def stack_of(field: Field) -> int:
 
 
 def runner(field: Field, function: Any) -> Callable[..., Any]:
-    """Return the kernel `function` (a compiled function) for a field, or its plain Python version if the field is not a
-    named tuple.
+    """Return the function with which Python calls a field: the kernel (compiled function) `function`.
+
+    For a field that is not a named tuple, the plain Python version of the kernel is returned.
     """
     chosen: Callable[..., Any] = function if isinstance(field, tuple) else getattr(function, "py_func", function)
     return chosen
@@ -106,21 +108,22 @@ def places_of(deployment: Deployment) -> Places:
 
 
 class Target(Protocol):
-    """Interface of functions that compute the fitness from the values of all positions. A target is a named tuple whose
-    class registers versions of `smoothed` and `contribution`.
+    """Interface of functions that compute the fitness from the values of all positions.
+
+    A target is a named tuple. Its class registers its own versions of `smoothed` and `contribution`.
     """
 
     @property
     def relevance(self) -> FloatArray:
-        """`(Q,)` weights of the positions, with sum 1."""
+        """Weights of the positions, with sum 1, `(Q,)`."""
 
 
 @dispatched_call
 def bound(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
-    """Try a move of landmark k to `pose` on a surface: write upper bounds on the values after the move into
-    `scratch.units`.
+    """Try a move of landmark k: write upper bounds on the positions' values after the move into `scratch.units`.
 
-    `pose` `(6,)` is position (metres) and unit normal. Bounds are cheap to compute, and suffice to reject most moves.
+    Bounds are cheap to compute, and suffice to reject most moves. `pose` `(6,)` is the new position (metres) and unit
+    normal of the landmark.
     """
 
 
@@ -145,40 +148,43 @@ def undo(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @dispatched
 def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, share: float) -> Any:
-    """Contribution of the quantised value `units` at position p to the smoothed fitness.
+    """Contribution of position p with the quantised (integer) value `units` to the smoothed fitness.
 
     If the fitness has a sharp step at a threshold, the smoothed fitness has a smooth step of the given `width`. The
-    middle of the smooth step is `margin` above the threshold, and `share` times the value is added. The contribution
+    middle of this step is `margin` above the threshold. `share` times the value is added to the step. The contribution
     increases monotonically with `units`, up to (1 + share) times the weight of the position.
     """
 
 
 @dispatched
 def contribution(target: Any, p: Integer, units: Integer) -> Any:
-    """Contribution of the quantised value `units` at position p to the fitness, see `fitness_of`."""
+    """Contribution of position p with the quantised (integer) value `units` to the fitness, see `fitness_of`."""
 
 
 @overridable
 def placed(state: Any) -> Any:
-    """The part of a state that has the attributes `poses` and `surfaces`: the state itself, unless the state's class
-    registers another function.
+    """Return the object with the attributes `poses` and `surfaces` of a state.
+
+    This is the state itself, unless the state's class registers another function.
     """
     return state
 
 
 @overridable
 def combined(target: Any, terms: FloatArray, total: Any) -> Any:  # noqa: ARG001 # for other targets
-    """Smoothed fitness, from the contributions `terms` `(Q,)` of the positions and their sum `total`. The fitness is
-    `total`, unless the class of the target registers another function, which must increase monotonically with every
-    term.
+    """Smoothed fitness, from the positions' contributions `terms` `(Q,)` and their sum `total`.
+
+    By default the result is `total`. The class of a target may register another function, which must increase
+    monotonically with every term.
     """
     return total
 
 
 @overridable
 def fitness_of(target: Any, units: Any) -> Any:
-    """Fitness of a deployment with the quantised values `units` `(Q,)`: the sum of the contributions, unless the class
-    of the target registers another function.
+    """Fitness of a deployment, from the quantised (integer) values `units` `(Q,)` of the positions.
+
+    By default this is the sum of the positions' contributions. The class of a target may register another function.
     """
     total = 0.0
     for p in range(len(units)):
@@ -188,13 +194,13 @@ def fitness_of(target: Any, units: Any) -> Any:
 
 @kernel
 def total_fitness(target: Any, units: Any) -> Any:
-    """Fitness of a deployment with the quantised values `units` `(Q,)`."""
+    """Result of `fitness_of`, as a kernel (compiled function) that Python can call."""
     return fitness_of(target, units)
 
 
 @inner
 def move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
-    """Move landmark k unconditionally: `bound`, `settle` and `accept`."""
+    """Move landmark k to `pose` in three steps: `bound`, `settle` and `accept`."""
     bound(field, k, pose, surface, state, scratch)
     settle(field, k, state, scratch)
     accept(field, k, state, scratch)
@@ -202,9 +208,10 @@ def move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratc
 
 @inner
 def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> None:
-    """Move the landmarks of `state` to `places`, with the first of the `scratches` as working memory.
+    """Move all landmarks of `state` to `places`, without testing the fitness.
 
-    Landmarks that are already at their place do not move. `pose` `(6,)` is further working memory.
+    Landmarks that are already at their place do not move. Working memory is the first of the `scratches`, and `pose`
+    `(6,)`, which is overwritten.
     """
     scratch, known = layer(scratches, 0), placed(state)
     for k in range(len(places.surfaces)):
@@ -218,19 +225,19 @@ def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> N
 
 @borrowing
 def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: Any, units: Any) -> None:
-    """Execute steps of moves one after the other.
+    """Execute a list of steps of moves one after the other.
 
-    Python calls a field through this kernel only, because each further kernel would be compiled for every class of
+    Python calls a field only through this kernel, because each further kernel would be compiled for every class of
     field, which takes long.
 
     Args:
-        steps: `(S, 4)` int64. The columns are the step (`BOUND`, `SETTLE`, `ACCEPT` or `UNDO`), and the indices of the
-            landmark, of the surface and of the scratch.
-        poses: `(S, 6)` position (metres) and unit normal, for `BOUND`.
+        steps: `(S, 4)` int64. The columns are the kind of step (`BOUND`, `SETTLE`, `ACCEPT` or `UNDO`), and the indices
+            of the landmark, of the surface and of the scratch.
+        poses: `(S, 6)` new position (metres) and unit normal of the landmark, used by `BOUND` only.
         field, state: field and state of the landmarks.
         scratches: several scratches as one array structure, made by `layers`.
-        units: receives the values after each step, `(S, Q)` int64: the scratch's values after `BOUND` and `SETTLE`,
-            else the state's values; `(0, 0)` to skip the values.
+        units: `(S, Q)` int64, receives the quantised values after each step: those of the scratch after `BOUND` and
+            `SETTLE`, else those of the state. With the shape `(0, 0)`, no values are written.
     """
     for s in range(len(steps)):
         which, k, surface, scratch = steps[s, 0], steps[s, 1], steps[s, 2], layer(scratches, steps[s, 3])
@@ -249,7 +256,7 @@ def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: An
 
 
 def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
-    """Arguments `steps` and `poses` of `perform` for moving the landmarks of `state` to `places`."""
+    """Steps with which `perform` moves the landmarks of `state` to `places`: its arguments `steps` and `poses`."""
     known = placed(state)
     elsewhere = (places.poses != known.poses).any(axis=0) | (places.surfaces != known.surfaces)
     which = np.flatnonzero(elsewhere)
@@ -260,8 +267,9 @@ def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
 
 
 def in_order(field: Field, relevance: FloatArray) -> FloatArray:
-    """Weights of the field's positions, `(Q,)`: the weights `relevance` `(P,)` of the evaluator's positions, normalised
-    and put into the field's order.
+    """Weights of the field's Q positions, `(Q,)`, from the weights `relevance` `(P,)` of the evaluator's positions.
+
+    The result has the order of the field's positions and the sum 1.
     """
     ordered = np.zeros(field.size)
     ordered[field.index_of] = relevance / relevance.sum()

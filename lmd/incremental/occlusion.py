@@ -1,14 +1,13 @@
-"""Occlusion between the moving landmark and other landmarks: functions that find the pairs of another landmark and a
-position from which one of the two landmarks hides the other.
+"""Search for occlusion: for each other landmark, positions from which it hides the moving landmark or is hidden by it.
 
 Only blocks of positions within the horizon (the distance beyond which a landmark has no effect) of both landmarks are
 searched, in two stages:
 
-1. A bound excludes most landmarks for all positions of a block. Let m be the offset of the place a from the centre of
-   the block, and e = o - a the vector to a landmark o. The offsets of a and o from the position delta away from the
-   centre are a' = m - delta and o' = a' + e. One of them hides the other only within r = sqrt(reach) of the line of
-   sight: if |a' x o'| <= r max(|a'|, |o'|). Here a' x o' = m x e - delta x e, and the block fits into a box with the
-   half sides h. The first component of m x e is then at most
+1. A bound excludes most landmarks for all positions of a block. Let a be the place of the moving landmark, m its offset
+   from the centre of the block, and e = o - a the vector to another landmark o. The offsets of a and o from the
+   position delta away from the centre are a' = m - delta and o' = a' + e. One landmark hides the other only within r =
+   sqrt(reach) of the line of sight: if |a' x o'| <= r max(|a'|, |o'|). Here a' x o' = m x e - delta x e, and the block
+   fits into a box with the half sides h. The first component of m x e is then at most
 
        h_y |e_z| + h_z |e_y| + r (|m| + |h| + |e|),
 
@@ -19,8 +18,8 @@ searched, in two stages:
 
 A camera is treated as a mount group with one centre, the position itself, and the radius 0.
 
-The module also lists the blocks of positions within the horizon of a landmark's old place or of the place tried. A
-trial works in these blocks alone: from other positions neither place is visible, and neither place affects another
+The module also lists the blocks of positions within the horizon of the moving landmark's old place or of its new place.
+A trial works in these blocks alone: from other positions a landmark at either place is not visible and hides no other
 landmark. Each trial clears the entries that the previous trial wrote, so no loop runs over the whole room.
 """
 
@@ -66,7 +65,7 @@ def is_near(field: Any, b: Integer, point: Vector) -> Any:
 
 @inlined
 def target_of(scratch: Any) -> Any:
-    """Position (metres) and unit normal of the place tried."""
+    """Position (metres) and unit normal of the moving landmark's new place."""
     target = scratch.target
     return (target[0], target[1], target[2]), (target[3], target[4], target[5])
 
@@ -79,8 +78,10 @@ def pose_of(k: Integer, state: Any) -> Any:
 
 @inner
 def list_blocks(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """List the blocks of positions that are at most the horizon (`field.horizon`) away from landmark k or from the
-    place tried. The scratch gets the blocks (`BLOCKS`) and the contiguous spans that they form (`FIRST`, `LAST`).
+    """List the blocks of positions that are near landmark k, or near its new place.
+
+    Near means: at most `field.horizon` away, the distance beyond which a landmark has no effect. The scratch gets the
+    blocks (`BLOCKS`), and the contiguous ranges of positions that they form (`FIRST`, `LAST`).
     """
     numbers, size, (there, _), (here, _) = scratch.numbers, field.boxes.shape[1], target_of(scratch), pose_of(k, state)
     aimed, wanted = scratch.flags[AIMED], scratch.flags[WANTED]
@@ -108,18 +109,20 @@ OLD_PLACE, NEW_PLACE, FIRST_PLACE = np.int64(0), np.int64(1), np.int64(2)
 
 @inlined
 def line_radius(sight: Any) -> Any:
-    """Greatest distance at which a landmark can stand from a line of sight and still block it, metres."""
+    """Greatest distance from a line of sight at which a landmark can block this line, metres, plus rounding errors."""
     return math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
 
 
 @inner
 def find_offsets(place: Vector, poses: FloatArray, horizon: float, others: np.ndarray, offsets: FloatArray) -> Any:
-    """List in `others` the landmarks that are at most `horizon` metres from a place, and write into `offsets` `(4, L)`
-    the vectors from the place to these landmarks, and the lengths of the vectors, metres.
+    """List the landmarks that are at most `horizon` metres from a place, and the vectors to them.
+
+    The indices of the landmarks are written into `others`. The vectors from the place, and in the last row their
+    lengths, are written into `offsets` `(4, L)`, metres.
 
     Returns:
-        number of landmarks, rounded up to a multiple of `LANES`; the additional entries are padding that fails every
-            test.
+        number of landmarks, rounded up to a multiple of `LANES`. The additional entries are padding, which no test
+            accepts.
     """
     count, most = poses.shape[1], np.float32(horizon * (1.0 + SINGLE_ERROR))
     for i in range(count):
@@ -140,13 +143,13 @@ def find_offsets(place: Vector, poses: FloatArray, horizon: float, others: np.nd
 
 @inlined
 def near_line(start: Any, middle: Vector, sides: Vector, radius: float, offsets: FloatArray) -> Any:
-    """Test `LANES` landmarks by a bound for a block of positions: return the bit set of the landmarks that pass.
+    """Find which of `LANES` landmarks may hide a place, or be hidden by a landmark there, from a block of positions.
 
-    A landmark that does not pass neither hides the place, nor is hidden by a landmark at the place, from any position
-    of the block. This is the first stage of the search (see the module).
+    This is a bound, the first stage of the search (see the module): a landmark outside the returned bit set neither
+    hides the place nor is hidden, from any position of the block.
 
     Args:
-        start: index of the first of the `LANES` landmarks that are tested.
+        start: index of the first of the landmarks.
         middle: offset of the place from the centre of the block's bounding box, metres.
         sides: half the side lengths of the box, metres.
         radius: result of `line_radius`, metres.
@@ -170,15 +173,15 @@ def near_line(start: Any, middle: Vector, sides: Vector, radius: float, offsets:
 
 @dispatched
 def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, field: Any, scratch: Any) -> None:
-    """Record the positions of block b from which landmark k at a `place` hides landmark i or is hidden by landmark i.
+    """Record the positions of a block from which landmark k at a `place` hides landmark i, or i hides k.
 
     Args:
-        groups: a `OneCamera`, or a `MountGroup` of a rig, with the arrays of the state and of the scratch that belong
-            to it.
-        near: five values, of which four are indices: c of the cameras' centre (`MountGroup.centres`), b of the block, i
-            and k of the landmarks. The fifth is a pair, in metres: the offset of the place from the cameras' centre if
-            the body is at the middle of the block, and half the diagonal of the block's box, which is enlarged by the
-            cameras' distance from their centre.
+        groups: a tuple: a `OneCamera`, or a `MountGroup` of a rig, and the arrays of the state and of the scratch for
+            it.
+        near: five values. Four are indices: centre c of the cameras (`MountGroup.centres`), block b, and landmarks i
+            and k. The fifth is a pair in metres: the offset of the place from centre c if the body is at the middle of
+            the block, and half the diagonal of the block's box, enlarged by the distance of the cameras from their
+            centre.
         role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE`.
         place: position (metres) and unit normal.
     """
@@ -186,11 +189,9 @@ def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, fi
 
 @inner
 def search(groups: Any, k: Integer, role: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Call `note_neighbour` for each landmark that landmark k at a place may hide, and for each landmark that may hide
-    landmark k.
+    """Call `note_neighbour` for each landmark that landmark k may hide, or that may hide landmark k.
 
-    `groups` has the cameras, and the arrays of the state and of the scratch that belong to them; `role` selects the old
-    place or the place tried.
+    `role` selects the place of landmark k: its old place or its new place. `groups` is as in `note_neighbour`.
     """
     cameras, boxes, offsets = groups[0], field.boxes, scratch.offsets
     blocks, others = scratch.lists[BLOCKS], scratch.lists[OTHERS]
@@ -218,7 +219,7 @@ def search(groups: Any, k: Integer, role: Any, field: Any, state: Any, scratch: 
 
 @inlined
 def touch(p: Integer, scratch: Any) -> None:
-    """Mark position p as `TOUCHED`, and append it to the list `TOUCHED_LIST` unless it is listed already."""
+    """Mark position p as touched by the trial move, and append it to `TOUCHED_LIST` unless it is listed already."""
     numbers = scratch.numbers
     if not scratch.flags[TOUCHED, p]:
         scratch.flags[TOUCHED, p], scratch.lists[TOUCHED_LIST, numbers[TOUCHED_COUNT]] = True, p
@@ -227,7 +228,10 @@ def touch(p: Integer, scratch: Any) -> None:
 
 @inlined
 def note_pair(i: Integer, p: Integer, scratch: Any) -> None:
-    """Append the pair of landmark i and position p to `Scratch.pairs`, unless it is listed already."""
+    """List the pair of landmark i and position p in `Scratch.pairs`, unless it is listed already.
+
+    The trial move may change the occlusion of landmark i from there.
+    """
     known, pairs, numbers = scratch.known, scratch.pairs, scratch.numbers
     if not known[p, i]:
         known[p, i], pairs[LANDMARK, numbers[PAIR_COUNT]], pairs[POSITION, numbers[PAIR_COUNT]] = True, i, p

@@ -1,6 +1,6 @@
 """Moves of landmarks seen by a rig, whose cameras change their positions when the body turns.
 
-Landmarks are counted for each orientation of the body: `RigState.shown` has, for each landmark, the orientations with
+Landmarks are counted for each orientation of the body. For each landmark, `RigState.shown` has the orientations with
 which at least one camera sees the landmark.
 """
 
@@ -90,14 +90,14 @@ def _clear_views(scratch: Any) -> None:
 
 @allocating
 def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArray, scratch: Any, rig: Any) -> None:
-    """For each camera of a mount group, find the orientations of the body with which the camera covers the place tried.
+    """Find the orientations of the body with which each camera of a mount group covers the landmark's new place.
 
-    Only the orientations in `ASKED` are tested. The found orientations are written to `COVERED` of the group, and added
-    to `FRESH` of the rig. `OCCLUDED` of the group is cleared.
+    Occlusion by landmarks is ignored, and only the orientations in the row `ASKED` are tested. The result is written to
+    the row `COVERED` of the group, and added to the row `FRESH` of the rig. The row `OCCLUDED` of the group is cleared.
 
     Args:
         k: index of the landmark.
-        group: a `MountGroup`.
+        group: a `MountGroup` (equal cameras of the rig).
         positions: indices of the positions of the body to evaluate.
         body: all positions of the body, `(3, Q)`, metres.
         scratch, rig: working memory of the mount group, and of the rig.
@@ -154,8 +154,10 @@ def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArra
 
 @inner
 def _join(positions: FloatArray, scratch: Any) -> None:
-    """Recompute `FRESH`, the orientations with which the rig sees the place tried, at `positions`. The result is the
-    union, over all cameras, of the orientations in `COVERED` that are not in `OCCLUDED`.
+    """Recompute the row `FRESH` at `positions`: the orientations with which the rig sees the landmark's new place.
+
+    The result is the union, over all cameras, of the orientations in the row `COVERED` that are not in the row
+    `OCCLUDED`.
     """
     fresh = scratch.sets[FRESH]
     for q in positions:
@@ -172,10 +174,10 @@ def _join(positions: FloatArray, scratch: Any) -> None:
 
 @inner
 def _see_with(groups: Any, k: Integer, positions: FloatArray, field: Any, state: Any, scratch: Any) -> None:
-    """Find the orientations with which a rig sees landmark k at the place tried, and write them to `FRESH`.
+    """Find the orientations with which a rig sees landmark k at its new place, and write them to the row `FRESH`.
 
-    Only the orientations in `ASKED` at `positions` (indices) are tested, for each of the mount groups `groups`.
-    Only the occluders that the search has listed can hide landmark k.
+    Only the orientations in the row `ASKED` at `positions` (indices) are tested. `groups` are all mount groups (equal
+    cameras) of the rig. Landmarks hide landmark k only if the search (`lmd.incremental.occlusion`) has listed them.
     """
     fresh = scratch.sets[FRESH]
     for q in positions:
@@ -194,10 +196,13 @@ def _see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any
 
 @inner
 def list_near(scratch: Any, all_of_them: bool) -> Any:
-    """Write into `LISTED` the positions near the old place and near the place tried; return the number of these
-    positions.
+    """Write into the row `LISTED` the positions near the landmark's old place or near its new place.
 
-    If `all_of_them` is False, a position is left out if it is not touched and has no orientation in `ASKED`.
+    If `all_of_them` is False, a position is left out if it is not touched by the move and has no orientation in
+    `ASKED`.
+
+    Returns:
+        number of the listed positions.
     """
     listed, first, last, count = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST], ZERO
     asked, touched = scratch.sets[ASKED], scratch.flags[TOUCHED]
@@ -242,8 +247,9 @@ def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any)
 
 @inner
 def _exchange_group(k: Integer, positions: FloatArray, mine: Any, other: Any) -> None:
-    """Swap the sets of orientations of landmark k at `positions` between `mine`, the state of a mount group, and
-    `other`, the scratch (working memory) of this group.
+    """Swap the sets of orientations that belong to landmark k at `positions` between state and scratch.
+
+    `mine` has the sets of a mount group (equal cameras) in the state, `other` those in the scratch.
     """
     covered, occluded, tried_covered, tried_occluded = mine[COVERED], mine[OCCLUDED], other[COVERED], other[OCCLUDED]
     for q in positions:

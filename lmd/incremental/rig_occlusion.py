@@ -1,8 +1,7 @@
-"""Occlusion for the cameras of a rig: for each landmark, camera and position, the set of orientations with which the
-landmark is hidden.
+"""Occlusion of landmarks for a rig: sets of orientations with which each landmark is hidden from each camera.
 
-A bound for all cameras around a centre (`mount_occlusion.may_hide_around`) excludes most pairs of landmarks; the other
-pairs are tested for each orientation with which the landmark is covered.
+A bound for all cameras around a centre (`mount_occlusion.may_hide_around`) excludes most pairs of landmarks. The other
+pairs are tested for each orientation with which the landmark that may be hidden is covered.
 """
 
 import math
@@ -36,8 +35,9 @@ from lmd.sight.mount_occlusion import hidden_bits, hiding_bound, may_hide_around
 def _hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
 ) -> Any:
-    """Orientations of the body in word w with which landmark i hides landmark k from mount m, see `hidden_bits`. This
-    function only calls `hidden_bits`; it is not inlined, which shortens compilation.
+    """Bit set of the orientations of word w (64 orientations) with which landmark i hides landmark k from mount m.
+
+    The function calls `hidden_bits` and is not inlined, which shortens compilation.
     """
     return hidden_bits(group, m, w, left, i, k, body, one, other)
 
@@ -46,8 +46,10 @@ def _hidden_bits(
 def _drop_hidden(
     group: Any, c: Integer, i: Integer, k: Integer, q: Integer, body: Vector, state: Any, flipped: Any
 ) -> None:
-    """Remove from the set `flipped` of landmark i the orientations with which a landmark other than k hides landmark i
-    from the cameras around centre c. The body is at position q, with the coordinates `body`.
+    """Remove from the set `flipped` of landmark i the orientations with which it is hidden anyway.
+
+    These are the orientations with which a landmark other than k hides landmark i from the cameras around centre c. The
+    body is at position q, with the coordinates `body`, metres.
     """
     other, width = pose_of(i, state), line_radius(group.sight)
     offset = minus3(other[0], plus3(body, row3(group.centres, c)))
@@ -65,11 +67,11 @@ def _drop_hidden(
 def _find_pair(
     groups: Any, near: Any, q: Integer, body: Vector, place: Any, role: Any, state: Any, scratch: Any
 ) -> None:
-    """Update `flipped` of landmark i: the orientations with which the move of landmark k changes whether i is hidden.
+    """Update the orientations with which the move of landmark k changes whether landmark i is hidden.
 
-    The update uses the orientations with which k hides i from `place`, which is the old place or the place tried. The
-    body is at position q, with the coordinates `body`. If the set changes, q is marked as touched and the pair of i and
-    q is listed.
+    They are the set `flipped` of landmark i. The update is for one place of landmark k: its old place or its new place,
+    as `role` says. The body is at position q, with the coordinates `body`, metres. If the set changes, q is marked as
+    touched, and the pair of i and q is listed.
     """
     (group, mine, other), (c, _, i, k, _) = groups, near
     pose, changed, covered, occluded = pose_of(i, state), False, mine[COVERED], mine[OCCLUDED]
@@ -113,8 +115,9 @@ def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, f
 
 @inner
 def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Find the orientations with which another landmark hides landmark k at the place tried from a camera of `group`,
-    and add them to `OCCLUDED`. Only orientations that are in both `COVERED` and `ASKED` are tested.
+    """Find the orientations with which another landmark hides landmark k at its new place from a camera of `group`.
+
+    Only orientations in both rows `COVERED` and `ASKED` are tested. The result is added to the row `OCCLUDED`.
     """
     other, size, body = scratch.groups[group.number], np.uint64(len(scratch.units)), field.positions
     asked, tried_covered, tried_occluded = scratch.sets[ASKED], other.sets[COVERED], other.sets[OCCLUDED]
@@ -134,9 +137,7 @@ def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) 
 
 @inner
 def _find_pairs_of(kinds: Any, k: Integer, role: Any, field: Any, state: Any, scratch: Any) -> None:
-    """For each mount group of a rig, find the other landmarks that landmark k hides or that hide landmark k, see
-    `find_pairs`.
-    """
+    """Run `find_pairs` for a rig: search each of the mount groups (equal cameras) `kinds`."""
     for group in literal_unroll(kinds):
         if group.sight.reach >= 0.0:
             groups = group, state.groups[group.number], scratch.groups[group.number]

@@ -1,9 +1,11 @@
-"""Arrays for moves of single landmarks. A *state* has the coverage of one deployment. A *scratch* is working memory
-with the results of the move tried last. Words in capitals, such as `FRESH`, name rows of the arrays.
+"""Arrays for moves of single landmarks, in two kinds of named tuples.
+
+A *state* has the coverage of one deployment. A *scratch* is working memory with the results of the move tried last.
+Names in capitals, such as `FRESH`, are indices of rows of arrays. Sets of orientations (axes) are bit sets, whose word
+w is a 64-bit integer for the orientations 64 w to 64 w + 63.
 
 Attributes with equal names have equal meanings for a camera and for a rig. Arrays of equal type and shape are rows of
-one array, with a constant for the index of each row. The reason is that numba passes every n-dimensional array as 5 +
-2n numbers to functions that are not inlined.
+one array, because numba passes every n-dimensional array as 5 + 2n numbers to functions that are not inlined.
 """
 
 from typing import Any, NamedTuple
@@ -21,8 +23,9 @@ ENOUGH = 2  # axes that cover n landmarks or more
 
 
 class Counts(NamedTuple):
-    """Number of landmarks covered at each of Q positions, for each axis (orientation). The numbers are stored as bit
-    sets, in which an axis is one bit of W 64-bit words.
+    """Number of landmarks covered at each of Q positions with each orientation (axis), stored as bit sets.
+
+    A bit set has one bit for each orientation, in W words of 64 bits.
     """
 
     digits: np.ndarray
@@ -34,10 +37,11 @@ class Counts(NamedTuple):
 
 
 def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
-    """Counts before the first landmark of a deployment is counted.
+    """Counts of covered landmarks before the first landmark of a deployment is counted.
 
     Args:
-        counted_once: bit sets `(Q, W)` of the axes whose counts begin at 1 instead of 0, see `CoverageField`.
+        counted_once: bit sets `(Q, W)` of the orientations with which the counts begin at 1 instead of 0, see
+            `CoverageField`.
         count: number K of landmarks that can be counted.
         n: number of landmarks that must be covered.
     """
@@ -50,8 +54,10 @@ def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
 
 @inlined
 def enough_with(p: Integer, w: Integer, was: Any, now: Any, counts: Any) -> Any:
-    """Axes of word w that cover n landmarks or more at position p after one landmark moves. Before the move, the axes
-    `was` cover this landmark; after the move, the axes `now` do. All sets are bits of word w.
+    """Bit set of the orientations that cover n landmarks or more at position p after one landmark moves.
+
+    All sets are limited to word w (64 orientations). `was` and `now` are the orientations that cover the moving
+    landmark before and after the move.
     """
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
     return (enough[p, w] & ~(was & ~now & just[p, w])) | (now & ~was & short[p, w])
@@ -59,8 +65,9 @@ def enough_with(p: Integer, w: Integer, was: Any, now: Any, counts: Any) -> Any:
 
 @inlined
 def update_counts(p: Integer, w: Integer, changed: Any, decrement: Any, n: Integer, counts: Any) -> None:
-    """Update the counts in place, at position p for the axes `changed` (bits of word w): subtract 1 at the axes that
-    are also in `decrement`, add 1 at the others.
+    """Update the counts of covered landmarks at position p, for the orientations `changed` of word w (64 orientations).
+
+    With each of these orientations, 1 is subtracted if it is in the bit set `decrement`, otherwise 1 is added.
     """
     digits, one, two = counts.digits, ALL, ALL
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
@@ -74,8 +81,9 @@ def update_counts(p: Integer, w: Integer, changed: Any, decrement: Any, n: Integ
 
 @inner
 def sum_up(field: Any, state: Any) -> None:
-    """Compute quantised P_n, the probability that n landmarks are covered, at all positions, and write it to
-    `state.units`. P_n is computed from the counts.
+    """Compute P_n, the probability that n landmarks are covered, at all positions from the counts.
+
+    The quantised probabilities (integers) are written to `state.units`.
     """
     units, enough = state.units, state.counts.sets[ENOUGH]
     for p in range(np.uint64(len(units))):
@@ -85,7 +93,7 @@ def sum_up(field: Any, state: Any) -> None:
 
 
 def counts_of(state: Any, axes: int) -> np.ndarray:
-    """Number of landmarks covered at each position, for each of the first `axes` axes, `(Q, axes)` int16."""
+    """Number of landmarks covered at each position with each of the first `axes` orientations, `(Q, axes)` int16."""
     digits = unpacked(state.counts.digits.transpose(2, 0, 1), axes)
     counts = np.zeros(digits.shape[1:], dtype=np.int16)
     for digit in digits[::-1]:
@@ -137,8 +145,9 @@ SURE = 5  # depth, metres: an axis with the place well in view, at a depth from 
 
 
 class State(NamedTuple):
-    """Coverage of K landmarks by a camera from Q positions, in the order of the field (incremental evaluator). An axis,
-    which is an orientation of the camera, is one bit of W 64-bit words.
+    """Coverage of K landmarks by a camera from Q positions, in the order of the field (incremental evaluator).
+
+    An orientation (axis) is one bit of W 64-bit words.
     """
 
     poses: np.ndarray
@@ -183,8 +192,8 @@ class RigState(NamedTuple):
 class Scratch(NamedTuple):
     """Working memory for moves of one landmark seen by a camera, with the results of the move tried last.
 
-    After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, `REACHED`, `hides` and `changes` describe the
-    reverse move.
+    After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, `REACHED`, `hides` and `changes` have the data
+    of the reverse move, which undoes it.
     """
 
     target: np.ndarray
@@ -239,7 +248,7 @@ class Scratch(NamedTuple):
 
 
 class GroupScratch(NamedTuple):
-    """Working memory for one mount group (equal cameras) of a rig, with the results of the move tried last."""
+    """Working memory for the equal cameras of a rig (a mount group), with the results of the move tried last."""
 
     sets: np.ndarray
     """`(2, Q, M, W)` sets of orientations, limited to those in `ASKED`. Row `COVERED` has the orientations with which
@@ -258,22 +267,22 @@ class GroupScratch(NamedTuple):
     (`MountGroup.centres`) with the body at position q.
     """
     seen: np.ndarray
-    """`(6, Q)`: for each position, the place tried relative to the centre of cameras (`MountGroup.centres`) that was
-    evaluated last. Rows `X` to `SURE` are the offset of the place, and bounds on its depth along the optical axis.
+    """`(6, Q)`: the place tried relative to the centre of cameras (`MountGroup.centres`) that was evaluated last. Rows
+    `X` to `SURE` are the offset of the place, and bounds on its depth. Column i belongs to the i-th evaluated position.
     """
     lists: np.ndarray
     """`(2, Q + 1)` uint64: a list of rows of the direction tables, and a list of the positions that need the exact
     test.
     """
     reached: np.ndarray
-    """`(Q,)` True if some orientation may cover the place tried."""
+    """`(Q,)` True if some orientation may cover the place tried, as seen from the i-th evaluated position."""
 
 
 class RigScratch(NamedTuple):
     """Working memory for moves of one landmark seen by a rig, with the results of the move tried last.
 
-    After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, and `sets` of the groups describe the old
-    place.
+    After the move is carried out, `target`, `SURFACE`, `units`, `FRESH` and the `sets` of the groups have the data of
+    the landmark's old place.
     """
 
     target: np.ndarray
@@ -301,7 +310,7 @@ class RigScratch(NamedTuple):
 
 
 def _shared_fields(state: State | RigState) -> dict[str, Any]:
-    """New arrays for the fields that `Scratch` and `RigScratch` have in common, keyed by the name of the field."""
+    """New arrays for the attributes that `Scratch` and `RigScratch` have in common, keyed by the attribute's name."""
     count, (size, words) = len(state.surfaces), state.counts.sets.shape[1:]
     return {
         "target": np.empty(6),
@@ -330,8 +339,10 @@ def scratch_of(state: State) -> Scratch:
 
 
 def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
-    """New scratch (working memory) for moves of the landmarks in the state of a rig. `centres` has a number for each
-    mount group: the number of points around which the group's cameras lie (the length of `MountGroup.centres`).
+    """New scratch (working memory) for moves of the landmarks in the state of a rig.
+
+    `centres` has, for each mount group (equal cameras), the number of points around which these cameras lie: the length
+    of `MountGroup.centres`.
     """
     count, size = state.shown.shape[:2]
     groups = tuple(

@@ -1,13 +1,14 @@
-"""Trial of a move of one landmark: an upper bound on P_n (the probability that n landmarks are covered) with the
-landmark at another place, then the exact P_n.
+"""Trial of a move of one landmark: upper bounds on P_n with the landmark at its new place, then the exact P_n.
+
+P_n is the probability, at a position, that n landmarks are covered.
 
 A move of landmark k changes the counts at a position in at most four ways. At its old place k is no longer covered, and
 landmarks that k hid appear. At its new place k is covered, and landmarks that k hides disappear. The decisions repeat
 the operations of `lmd.sight.kernels`.
 
-Sets of axes are bit sets. A state has the axes that cover each landmark and, at each position, the axes that cover n -
-1 and n landmarks. P_n depends on the moving landmark only through the axes that cover n - 1 or n landmarks, so a trial
-tests few axes.
+Axes are orientations, and sets of axes are bit sets. A state has the axes that cover each landmark and, at each
+position, the axes that cover n - 1 and n landmarks. The moving landmark changes P_n only through axes that cover n - 1
+or n landmarks, so a trial tests few axes.
 
 1. `bound_move` ignores that the landmark at the new place hides other landmarks or is hidden. Occlusion can only reduce
    the set of axes from which a landmark is covered, and P_n does not decrease when such a set grows, so the result is
@@ -21,10 +22,8 @@ differ: `lmd.incremental.camera` and `lmd.incremental.rig` register versions for
 depend on the position alone for a camera, and also on the orientation for a rig. Treating a camera as a rig with one
 mount would be slower: 1.3 to 1.8 times for a trial, and 1.9 to 2.7 times for a move that is carried out.
 
-When a move is carried out, counts and P_n are updated instead of recomputed.
-
-A state has the data of the old place, and a scratch has the data of the place tried. `carry_out` finds all axes that
-cover the place tried, then exchanges the data of state and scratch, P_n included. A second exchange undoes the move.
+A state has the data of the old place, and a scratch has the data of the new place. `carry_out` finds all axes that
+cover the new place, then exchanges the data of state and scratch, P_n included. A second exchange undoes the move.
 After any sequence of moves, the counts equal the counts of a full evaluation bit for bit.
 """
 
@@ -62,88 +61,95 @@ from lmd.sight.kernels import sum_weights
 
 @dispatched
 def shown_of(state: Any, k: Integer, p: Integer, w: Integer) -> Any:
-    """Orientations of word w (64 orientations) with which landmark k is seen from position p, as a bit set."""
+    """Bit set of the orientations of word w (64 orientations) with which landmark k is seen from position p."""
 
 
 @dispatched
 def turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
-    """Two bit sets: orientations of word w with which landmark i is seen from position p before and after the move.
+    """Bit sets of the orientations with which landmark i is seen from position p before and after the trial move.
 
-    Landmark i is not the moving landmark; it occurs in `Scratch.pairs`.
+    The sets are limited to word w (64 orientations). Landmark i is not the moving one; the move may change its
+    occlusion.
     """
 
 
 @dispatched_call
 def find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> None:
-    """Find the pairs (another landmark, a position) in which landmark k hides the other landmark or is hidden by it.
+    """Find each other landmark and position for which landmark k hides the other landmark or is hidden by it.
 
-    Landmark k is at the place with the `role`: old place, place tried, or place at which it is first counted. The pairs
-    are recorded in the scratch.
+    `role` selects the place of landmark k: its old place, the new place of the trial, or the place at which it is first
+    counted. The pairs of a landmark and a position are recorded in the scratch.
     """
 
 
 @dispatched_call
 def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
-    """Begin to bound P_n (the probability that n landmarks are covered) at positions that are not touched.
+    """Begin to compute upper bounds on P_n, the probability that n landmarks are covered, for a trial move.
 
-    At an untouched position, the move is assumed to change no occlusion. The function writes the bounds into the
-    scratch, or lists the positions at which bounds are still to be computed.
+    Only positions that are not touched are handled. There, the move is assumed to change no occlusion. The function
+    writes the bounds into the scratch, or lists the positions at which `see` and `_find_units` must compute them.
 
     Returns:
-        number of positions in `LISTED`, touched positions included, for which `see` and `_find_units` are still needed.
+        number of positions in the row `LISTED`, which also has the touched positions.
     """
 
 
 @dispatched_call
 def see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any) -> None:
-    """Find the orientations with which landmark k is covered at the place tried, and write them to `FRESH`. Only the
-    orientations in `ASKED` at `positions` (indices) are tested.
+    """Find the orientations that cover landmark k at the new place of the trial move.
+
+    Only the orientations in the row `ASKED` of `scratch.sets` are tested, at the `positions` (indices). The result is
+    written to the row `FRESH`.
     """
 
 
 @dispatched
 def fresh_of(scratch: Any, p: Integer, w: Integer) -> Any:
-    """Orientations of word w in `FRESH` with which the landmark is seen from position p at the place tried, occlusion
-    taken into account.
+    """Bit set of the orientations with which the moving landmark is seen from position p at its new place.
+
+    The set is limited to word w (64 orientations), and to the orientations that `see` has tested.
     """
 
 
 @dispatched_call
 def list_changing(state: Any, k: Integer, scratch: Any) -> Any:
-    """Write into `LISTED` the positions that a move of landmark k may affect.
+    """Write into the row `LISTED` the positions whose views a move of landmark k may change.
 
     Returns:
-        number of positions.
+        number of these positions.
     """
 
 
 @dispatched
 def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
-    """Swap word w of the sets of orientations that cover landmark k, at position p, between state and scratch.
+    """Swap the bit sets of the orientations that cover landmark k at position p between state and scratch.
+
+    Only word w (64 orientations) of the sets is swapped.
 
     Returns:
-        two sets: orientations with which the landmark is seen before the exchange, and after the exchange.
+        bit sets of the orientations with which landmark k is seen before and after the swap.
     """
 
 
 @dispatched_call
 def exchange_views(state: Any, k: Integer, scratch: Any) -> None:
-    """Swap the data of landmark k between state and scratch, except the sets that `exchange_sets` swaps. Apply the
-    changes of the occlusion of other landmarks (`pairs`).
+    """Swap the data about the occlusion and the reach of landmark k between state and scratch.
 
-    A second call undoes the first call.
+    The state's occlusion of the other landmarks in `pairs` is updated too. A second call undoes the first.
+    `exchange_sets`, which swaps the remaining sets, must be called before.
     """
 
 
 @dispatched_call
 def clear_views(scratch: Any) -> None:
-    """Clear the entries of the scratch that the last trial wrote."""
+    """Reset the entries of the scratch (working memory) that the last trial move wrote."""
 
 
 @inner
 def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Clear the data of the last trial in the scratch, and list the blocks of positions near landmark k and near the
-    place tried.
+    """Reset the scratch after the last trial move, and list the blocks of positions near the landmark's two places.
+
+    These are the present place of landmark k and its new place.
     """
     numbers, landmark, position = scratch.numbers, scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     touched, places, known = scratch.flags[TOUCHED], scratch.lists[TOUCHED_LIST], scratch.known
@@ -158,10 +164,9 @@ def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Begin a trial with landmark k at `pose`: find the pairs of the old place, and copy P_n of the state to the
-    scratch.
+    """Begin a trial move of landmark k to `pose` `(6,)`: position (metres) and unit normal.
 
-    `pose` `(6,)` is position (metres) and unit normal. For pairs see `find_pairs`.
+    The function finds the pairs (`find_pairs`) of the old place, and copies P_n of the state to the scratch.
     """
     scratch.numbers[SURFACE], units, before = surface, scratch.units, state.units
     for i in range(6):
@@ -174,9 +179,10 @@ def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, 
 
 @inner
 def _count_others(k: Integer, state: Any, scratch: Any) -> None:
-    """Count the landmarks other than k that are seen from touched positions, from which the move changes the occlusion
-    of a landmark. Write the counts as binary digits to `digits`. Landmarks in `pairs` are counted with their occlusion
-    after the move.
+    """Count the landmarks other than k that are seen from each touched position after the trial move.
+
+    At a touched position, the move changes the occlusion of a landmark. The counts for all orientations are written to
+    `digits` as binary digits.
     """
     landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     counts, digits = state.counts.digits, scratch.digits
@@ -196,9 +202,10 @@ def _count_others(k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any) -> None:
-    """Select the orientations that `see` tests at touched positions (from which the move changes the occlusion of a
-    landmark), and write them to `ASKED`. An orientation is selected if exactly n - 1 landmarks other than k are seen,
-    or at least n - 1 if `or_more` is True.
+    """Select the orientations that `see` tests at touched positions, and write them to the row `ASKED`.
+
+    At a touched position, the trial move changes the occlusion of a landmark. An orientation is selected if exactly n -
+    1 landmarks other than k are seen, or at least n - 1 if `or_more` is True.
     """
     asked, digits = scratch.sets[ASKED], scratch.digits
     _count_others(k, state, scratch)
@@ -209,9 +216,10 @@ def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any)
 
 @inner
 def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, state: Any, scratch: Any) -> None:
-    """Compute P_n, the probability that n landmarks are covered, at `positions`, and write it to `scratch.units`. P_n
-    follows from the orientations with which landmark k is seen at the place tried (`FRESH`). Landmarks in `pairs` are
-    counted with their occlusion after the move.
+    """Compute P_n, the probability that n landmarks are covered, at `positions` after the trial move.
+
+    P_n is written to `scratch.units`. It follows from the row `FRESH`, the orientations that cover landmark k at its
+    new place, and from the changed occlusion of the landmarks in `pairs`.
     """
     enough, asked = state.counts.sets[ENOUGH], scratch.sets[ASKED]
     touched, digits = scratch.flags[TOUCHED], scratch.digits
@@ -229,7 +237,7 @@ def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, sta
 
 @inner
 def see_whole(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Run `see` for all orientations, including those that cannot change the result of the trial."""
+    """Run `see` with all orientations, including those that cannot change the result of the trial move."""
     positions, asked = scratch.lists[LISTED][: list_changing(state, k, scratch)], scratch.sets[ASKED]
     for p in positions:
         for w in range(np.uint64(asked.shape[1])):
@@ -239,8 +247,10 @@ def see_whole(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def bound_move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write into `scratch.units` upper bounds on P_n after a move of landmark k to `pose` on a surface, see
-    `field.bound`. P_n is the probability that n landmarks are covered, `pose` `(6,)` position (metres) and unit normal.
+    """Write upper bounds on P_n, the probability that n landmarks are covered, after a move of landmark k.
+
+    The quantised bounds are written to `scratch.units`, see `field.bound`. `pose` `(6,)` is the new position (metres)
+    and unit normal of the landmark.
     """
     k = np.uint64(k)
     begin_move(k, pose, surface, field, state, scratch)
@@ -252,8 +262,9 @@ def bound_move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, 
 
 @inner
 def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Replace the bounds of `bound_move` in `scratch.units` by the exact P_n, the probability that n landmarks are
-    covered.
+    """Replace the bounds of `bound_move` in `scratch.units` by the exact P_n.
+
+    P_n is the probability that n landmarks are covered after the move.
     """
     k = np.uint64(k)
     find_pairs(state, k, NEW_PLACE, field, scratch)
@@ -265,7 +276,10 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Swap the data of landmark k and of the `pairs` between state and scratch, and update the counts."""
+    """Swap the views of landmark k between state and scratch, and update the counts of covered landmarks.
+
+    The occlusion of the other landmarks in `pairs` is updated too.
+    """
     landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     words = np.uint64(state.counts.digits.shape[1])
     for p in scratch.lists[LISTED][: list_changing(state, k, scratch)]:
@@ -284,9 +298,9 @@ def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def exchange_place(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Swap the place of landmark k, and the data that depend on the place, between state and scratch.
+    """Swap the place of landmark k, and all data that depend on its place, between state and scratch.
 
-    After `carry_out` with this scratch, the exchange undoes the move. Moves that were carried out later, with other
+    After `carry_out` with this scratch, the swap undoes the move. Moves that were carried out later, with other
     scratches, must have been undone before.
     """
     k, first, last, units = np.uint64(k), scratch.lists[FIRST], scratch.lists[LAST], scratch.units
@@ -302,14 +316,20 @@ def exchange_place(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Move landmark k to the place tried last; no other move may have been tried or carried out since."""
+    """Move landmark k to the new place of the last trial.
+
+    No other move may have been tried or carried out since this trial.
+    """
     see_whole(np.uint64(k), field, state, scratch)
     exchange_place(field, k, state, scratch)
 
 
 @borrowing
 def fill(field: Any, state: Any, scratch: Any) -> None:
-    """Count all landmarks of a `state` in which no landmark is counted yet, one after the other, and compute P_n."""
+    """Count all landmarks of a state, and compute P_n, the probability that n landmarks are covered.
+
+    No landmark of the state may have been counted before.
+    """
     for k in range(np.uint64(state.poses.shape[1])):
         for i in range(6):
             scratch.target[i] = state.poses[i, k]
@@ -322,8 +342,9 @@ def fill(field: Any, state: Any, scratch: Any) -> None:
 
 @borrowing
 def remove_sets(missed: Any, field: Any, state: Any) -> None:
-    """Remove the axes `missed`, bit sets `(K, Q, W)`, from the sets of axes that cover each landmark, and update counts
-    and P_n. The occlusion does not change.
+    """Remove orientations from the sets of orientations that cover each landmark, and update counts and P_n.
+
+    `missed` `(K, Q, W)` are bit sets of the orientations to remove. The occlusion between landmarks does not change.
     """
     covered = state.covered
     for k in range(np.uint64(covered.shape[0])):

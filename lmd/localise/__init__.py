@@ -5,7 +5,7 @@ Modules in the order of a localisation, each with its result:
 - `localise` calls all steps in order; its `Localisation` is the result.
 - `fixed_map` reads the map: poses of the tags, with standard deviations.
 - `images` finds rough poses of single images, or reasons to refuse images.
-- `changes` estimates all poses with the map as the prior (`lmd.adjust`), without the prior of tags that were moved, and
-  finds moved and new tags.
+- `changes` estimates all poses with the map as the prior (`lmd.adjust`), and finds new tags and moved tags, which lose
+  their prior.
 - `results` formats tables and text.
 """

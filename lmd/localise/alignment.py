@@ -1,11 +1,11 @@
-"""Similarity that maps a model of another program, of any scale, to a map; its scale and residuals.
+"""Alignment of a model of another program, which may have any scale, with a map of tags.
 
 An image has a pose X from its localisation and a pose Y from the model, both from the camera to the world. A similarity
 S (`lmd.formats.reconstructions`) moves Y to S Y. The residual is the twist log(X^-1 S Y), rad and metres. The
 covariance of the residual is the sum of the covariances of both poses. Errors of the map and of the cameras cause a
-part of X's covariance that is common to all images. The model's errors of position and of rotation are independent from
-image to image and along each axis; their variances are estimated from the residuals. Images whose chi^2 exceeds
-`MOVED_CHI_SQUARE` do not count.
+part of X's covariance that is common to all images. The model's errors of position and of rotation are assumed to be
+independent from image to image and along each axis. Their variances are estimated from the residuals. Images whose
+chi^2 exceeds `MOVED_CHI_SQUARE` are left out of the fit.
 """
 
 from typing import Any
@@ -48,7 +48,8 @@ def align(model: Model, result: Localisation) -> tuple[dict[str, Any], dict[str,
         Text for a terminal.
 
     Raises:
-        InputError: fewer than `FEWEST_FRAMES` images are in both, most fit no similarity, or the scale is not known.
+        InputError: model and localisation share fewer than `FEWEST_FRAMES` images, most of these fit no similarity, or
+            the scale is not known.
     """
     found, names = result.found, np.array(image_names(result.detected)).T
     rows = np.where(found.poses.known_frames, _rows(model, result.detected, names), -1).ravel()
@@ -136,9 +137,9 @@ def _fitted(
         own: covariance of the twist of each localised body pose, without the part common to all images, `(n, 6, 6)`.
 
     Returns:
-        similarity, `(4, 4)`; mask of the images that fit, `(n,)`; chi^2 of all images, `(n,)`; variances of the
-        components of the twist by which a pose of the model is wrong, `(6,)`; derivatives of the logarithm of the scale
-        with respect to twists of the localised poses, `(n, 6)`.
+        similarity, `(4, 4)`; mask of the images that fit, `(n,)`; chi^2 of all images, `(n,)`; variances of the six
+        components of the error of a model's pose, a twist, `(6,)`; derivatives of the logarithm of the scale with
+        respect to twists of the localised poses, `(n, 6)`.
 
     Raises:
         InputError: less than half of the images fit.

@@ -1,15 +1,15 @@
 """Tags that were moved since the map was made, and new tags.
 
 *Moved tags* are found by a bundle adjustment with the map as the prior. Subscripts select the rows and columns of tags.
-Let u be the twists of the tags from their poses in the map to their estimated poses, with the posterior covariance P. S
-is the prior covariance of these twists. The *trusted* tags r, which were not moved, have the prior N(0, S) with the
+Let u be the twists of the tags from their poses in the map to their estimated poses. Their posterior covariance is P,
+and their prior covariance is S. The *trusted* tags r, which were not moved, have the prior N(0, S_rr) with the
 information matrix J = S_rr^-1. The pose of each tag in the map is compared with its pose according to the images and
 all other trusted tags.
 
 - If a trusted tag k was moved by the twist t, its prior holds for u_k - t. The information matrix of t is Q_kk with
   Q = J - J P J, and t = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
-- A tag k of the map that is not trusted is expected at A u_r, given the trusted tags, with A = S_kr J. So t = u_k - A
-  u_r, with the covariance of u_k - A u_r under P, plus S_kk - A S_rk.
+- A tag k of the map that is not trusted is expected at A u_r, given the trusted tags, with A = S_kr J. So
+  t = u_k - A u_r. Its covariance is that of u_k - A u_r under P, plus S_kk - A S_rk.
 
 If a tag was not moved, t^T cov(t)^-1 t has the chi^2 distribution with six degrees of freedom. Moved tags lose their
 prior, in the order of decreasing chi^2, until no other tag exceeds the threshold.
@@ -89,7 +89,7 @@ class Comparison(NamedTuple):
     """
 
     def changes(self, here: FixedMap) -> list[Change]:
-        """Changes of the map `here`: tags that were moved, and new tags."""
+        """List the tags that were moved relative to the map `here`, followed by the new tags."""
         found, counts = self.found, self.found.sightings.counts(self.found.used)
         poses, covariances, squares = found.poses.tags, found.covariances, self.squares.tolist()
         return [
@@ -101,7 +101,7 @@ class Comparison(NamedTuple):
 
 def displacements(found: Estimate, here: FixedMap) -> tuple[FloatArray, FloatArray]:
     """Twist by which each tag is displaced from its pose in the map, `(K, 6)`, and the twist's covariance, `(K, 6, 6)`.
-    Twists are NaN for tags whose pose in the map cannot be compared with other tags.
+    The twist is NaN if the tag's pose in the map cannot be compared with other tags.
     """
     there, *_ = found.adjustment.joint_step(found.poses, found.floor, 0.0, nuisances_off(found))
     twists, count = twists_between(here.poses, there.tags), len(here.ids)
@@ -131,14 +131,14 @@ def displacements(found: Estimate, here: FixedMap) -> tuple[FloatArray, FloatArr
 
 
 def compare(begun: Estimate, here: FixedMap, mounts: Mounts | None, gross: BoolArray, odd: BoolArray) -> Comparison:
-    """Estimate all poses with the map as the prior, and find moved tags, which lose their prior. The cameras are
-    refined at the end.
+    """Estimate all poses with the map as the prior, and find the tags that were moved. Moved tags lose their prior. The
+    cameras are refined at the end.
 
     Args:
         begun: estimate with rough poses; if its `lenses` are not None, cameras are refined.
         here: map of the tags.
-        mounts: prior of the mounts.
-        gross: mask of the tags that contradict the other tags, `(K,)`; tags of the mask have no prior at first.
+        mounts: prior of the poses of the cameras on the body.
+        gross: mask of the tags that contradict the other tags, `(K,)`; these tags have no prior at first.
         odd: mask of the tags whose stated size is known to be wrong, `(K,)`.
     """
     now, moved, squares, is_refined = begun, gross, np.full(len(gross), np.nan), begun.lenses is None

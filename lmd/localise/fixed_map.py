@@ -57,10 +57,11 @@ class FixedMap:
         return FixedMap(ids, poses, edges, sigmas, spread(self.joint, there, own, len(ids)))
 
     def prior(self, moved: BoolArray, mounts: Mounts | None = None) -> Prior:
-        """Prior for a bundle adjustment: `mounts`, and the map's tags that are not in the mask `moved` `(K,)`.
+        """Prior for a bundle adjustment. It has the poses of the map's tags that are not in the mask `moved` `(K,)`,
+        and the prior `mounts` of the poses of the cameras on the body.
 
-        In the covariance of a surveyed map, a common motion of all tags has zero variance; the prior raises all
-        variances by a small amount.
+        In the covariance of a surveyed map, a common motion of all tags has zero variance. The prior raises all
+        variances by a small amount, so that the covariance has an inverse.
         """
         trusted, tags = self.has & ~moved, np.where(self.has[:, None, None], self.poses, np.eye(4))
         own, rows = np.flatnonzero(trusted), rows_of(np.flatnonzero(trusted))
@@ -71,14 +72,14 @@ class FixedMap:
     @classmethod
     def read(cls, path: Any, tag: Tag, errors: Hanging, **table: Any) -> "FixedMap":
         """Read a map in any format of `lmd.formats.tag_maps`, with its covariance. The covariance is read from the file
-        that a survey writes beside its map; without it, tags are independent.
+        that a survey writes beside its map; without this file, tags are independent.
 
         Args:
             path: file of the map.
             tag: family of the tags, and edge length of the tags without one in the file.
             errors: standard deviations of the poses of tags without a covariance.
-            table: arguments `axes` and `columns` of `lmd.formats.tag_maps.read_deployment`: axes of a tag's frame, and
-                names of columns, for files that do not define them.
+            table: arguments `axes` (axes of a tag's frame) and `columns` (names of columns) of
+                `lmd.formats.tag_maps.read_deployment`, for files that do not define them.
 
         Raises:
             InputError: the file cannot be read, or holds no tags of this family.
@@ -97,8 +98,8 @@ class FixedMap:
 
 
 def spread(matrix: FloatArray, chosen: IntArray, places: IntArray, count: int) -> FloatArray:
-    """Square matrix with six rows and columns for each of `count` tags. The blocks of the tags with the indices
-    `chosen` in `matrix` are copied to the tags with the indices `places`; all other entries are 0.
+    """Square matrix with six rows and columns for each of `count` tags. The blocks of the tags `chosen` in `matrix`
+    become the blocks of the tags `places` (both are indices); all other entries are 0.
     """
     result, rows, own = np.zeros((6 * count, 6 * count)), rows_of(places), rows_of(chosen)
     result[np.ix_(rows, rows)] = matrix[np.ix_(own, own)]

@@ -85,9 +85,8 @@ def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> Rough
 
 
 def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray:
-    """Fraction of votes against each tag, see `rough_poses`, `(K,)`; 0 for tags with few votes. The fraction is
-    relative to the tag's sightings in images with other tags. `sigmas` `(K, 6)` are the standard deviations of the tags
-    in the map.
+    """Fraction of votes against each tag, see `rough_poses`, `(K,)`; 0 for tags with few votes. Only images with
+    several tags count. `sigmas` `(K, 6)` are the standard deviations of the tags in the map.
     """
     some = sightings.of(poses.known_tags[sightings.tag])
     at = Reprojection(some, *poses.of(some))
@@ -140,15 +139,15 @@ def _are_apart(one: FloatArray, two: FloatArray, away: FloatArray) -> BoolArray:
 
 
 def states_of(found: Estimate, others: FloatArray) -> tuple[NDArray[np.object_], FloatArray]:
-    """Outcome of each frame: localised, no tag of the map, or two poses that cannot be told apart.
+    """Decide for each frame: localised, no tag of the map, or two poses that cannot be told apart.
 
     Args:
         found: estimate with a pose of each frame that shows a tag of the map.
         others: other poses of the frames, `(F, 4, 4)`; NaN for a frame without another pose.
 
     Returns:
-        outcome (`State`) of each frame, `(F,)`; for frames that two poses fit almost equally well, the two poses, the
-        better pose first, `(F, 2, 4, 4)`, NaN for the other frames.
+        outcome (`State`) of each frame, `(F,)`; two poses of each frame that both fit almost equally well, the better
+        pose first, `(F, 2, 4, 4)`, NaN for the other frames.
     """
     some = found.sightings.of(found.poses.known_tags[found.sightings.tag])
     seen = np.bincount(some.frame, minlength=some.frames)

@@ -1,8 +1,8 @@
 """Localisation: all steps from detections and a map to poses with covariances, in order.
 
-Localisation is the bundle adjustment of a survey in which the map is the prior of the tags (`lmd.adjust`). Mounts,
-cameras, shapes of tags and new tags are unknowns as well. There are two results: poses from single images, and smoothed
-poses if motion links the frames.
+Localisation is the bundle adjustment of a survey in which the map is the prior of the tags (`lmd.adjust`). Poses of the
+cameras on the body (*mounts*), intrinsics, shapes of tags and poses of new tags are unknowns as well. There are two
+results: poses from single images, and smoothed poses if motion links the frames.
 """
 
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ MOUNT_SIGMAS = (0.0175, 0.01)
 
 @dataclass(frozen=True)
 class Drive:
-    """Prior knowledge of the body that carries the cameras: mounts of the cameras, and motion of the body."""
+    """Prior knowledge of the body that carries the cameras: poses of the cameras on it (mounts), and its motion."""
 
     mounts: FloatArray | None = None
     """`(C, 4, 4)` poses of the cameras on the body, which is the first camera, as measured by hand; None for one
@@ -110,7 +110,7 @@ def localise(
         cameras: cameras in the order of `detected.cameras`.
         tag: family of the tags.
         errors: errors of the detector's corners.
-        known: map.
+        known: map of the tags.
         drive: mounts of the cameras and motion of the body; None for one camera with an unknown motion.
         calibrate: False if the cameras are exact; True to refine them within the uncertainty of a calibration.
 
@@ -161,7 +161,7 @@ def localise(
 
 
 def _map_of(detected: DetectedTags, tag: Tag, known: FixedMap) -> FixedMap:
-    """Map of the detected tags: those that the given map has, and further tags that were seen at least twice.
+    """Map of the detected tags: those in the map `known`, and tags without a pose that were detected at least twice.
 
     Raises:
         InputError: no tag of the map was detected.
@@ -183,8 +183,9 @@ def _begun(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[tuple[Ob
 
 
 def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, int]:
-    """Detections whose corners begin at the top left, and the index that corner 0 of the given detections got. Of the
-    four indices, it is the one with which most sightings fit in frames with several tags of the map; 0 in a tie.
+    """Detections whose corners begin at the top left, and the new index of corner 0 of the given detections. Of the
+    four indices, the one with which most sightings fit is chosen, the lowest in a tie. Only frames with several tags of
+    the map are used; without such frames the index is 0.
     """
     detected = seen.detected
     of_map = np.flatnonzero(np.isin(detected.ids, here.ids[here.has]))
@@ -198,8 +199,8 @@ def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Obser
 
 
 def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Estimate:
-    """Estimate with added poses of tags that have no rough pose, and without the poses of ambiguous frames. `both`
-    `(F, 2, 4, 4)` has two poses of each ambiguous frame, NaN for other frames.
+    """Estimate in which tags without a rough pose get a pose from the frames, and ambiguous frames lose their pose.
+    `both` `(F, 2, 4, 4)` has two poses of each ambiguous frame, NaN for other frames.
     """
     some, lost = begun.sightings, ~rough.poses.known_tags
     frames = np.where(np.isfinite(both[:, 0]), np.nan, begun.poses.frames)
@@ -210,7 +211,7 @@ def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Esti
 
 def _refused(found: Estimate, states: NDArray[np.object_]) -> tuple[Estimate, NDArray[np.object_]]:
     """Refuse the frames in which most sightings do not fit. Return the estimate without the poses of all refused
-    frames, and the outcome of each frame, `(F,)`. `states` `(F,)` has the outcomes before.
+    frames, and the outcome of each frame, `(F,)`. `states` `(F,)` has the outcomes before this check.
     """
     some = found.sightings
     of_map = found.poses.known_tags[some.tag]
@@ -229,8 +230,8 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
     Args:
         found: estimate of single images.
         motion: motion between the frames.
-        both: for frames that two poses fit almost equally well, the two poses, `(F, 2, 4, 4)`, NaN for other frames;
-            the smoothest sequence decides between the two.
+        both: two poses of each frame that both fit almost equally well, `(F, 2, 4, 4)`, NaN for other frames; the
+            smoothest sequence decides between the two.
 
     Returns:
         smoothed estimate; None if fewer than `FEWEST_FRAMES` frames have a pose, or motion links no two of these
@@ -253,7 +254,7 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
     prior = replace(found.prior, motion=measured_motion(rough, poses, floor))
 
     def again(begun: Estimate) -> Estimate:
-        """Adjust all poses, and refine the cameras too if they are unknowns."""
+        """Adjust all poses of the estimate `begun`. Refine the cameras too if their intrinsics are unknowns."""
         now = begun.adjusted()
         return now if now.lenses is None else minimised(now)
 
@@ -261,7 +262,7 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
 
 
 def _decided(found: Estimate, motion: Motion, both: FloatArray) -> Poses:
-    """Poses; a frame that two poses fit has the one that is nearer to the smoothest sequence of poses. `both`
+    """Poses in which each frame that two poses fit has the pose nearer to the smoothest sequence of poses. `both`
     `(F, 2, 4, 4)` has the two poses, NaN for other frames. Such a frame has no pose if no other frame is linked to it.
     """
     frames, opened = found.poses.frames.copy(), np.flatnonzero(np.isfinite(both[:, 0, 0, 0]))

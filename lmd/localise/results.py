@@ -28,7 +28,8 @@ NAMED = 5  # largest number of refused frames, and of tags without a detection, 
 
 def frame_columns(result: Localisation, found: Estimate) -> dict[str, ArrayLike]:
     """Columns of `poses.csv` or `smoothed.csv`: state of each image, number of inliers, error, pose, and covariance.
-    `found` is the estimate from single images or the smoothed estimate.
+    The state is that the image is localised, or the reason why not. `found` is the estimate from single images or the
+    smoothed estimate.
     """
     name = State.LOCALISED.value if found is result.found else "smoothed"
     known = zip(found.poses.known_frames, result.states, strict=True)
@@ -47,9 +48,9 @@ def frame_columns(result: Localisation, found: Estimate) -> dict[str, ArrayLike]
 def change_columns(result: Localisation) -> dict[str, ArrayLike]:
     """Columns of `changes.csv`: tags that were moved or are new, with their present poses.
 
-    Positions are metres, quaternions rotate the frame of the tag (x right, y up, z out) to the map, and covariances
-    have the form of those in `poses.csv`. `moved_right`, `moved_up` and `moved_out` are metres along the axes of the
-    tag's pose in the map.
+    Positions are metres, and quaternions rotate the frame of the tag (x right, y up, z out) to the map. Covariances are
+    those of position and rotation in the map's frame. `moved_right`, `moved_up` and `moved_out` are metres along the
+    axes of the tag's pose in the map.
     """
     every = result.changes
     poses = np.array([one.pose for one in every]).reshape(-1, 4, 4)
@@ -94,7 +95,9 @@ def metrics(result: Localisation) -> dict[str, float]:
 
 
 def localise_document(result: Localisation) -> dict[str, Any]:
-    """Content of the file `localise.json`: metrics, refused images, changes of the map, and doubts."""
+    """Content of the file `localise.json`: metrics, refused images, changes of the map, and doubts (sentences for the
+    user).
+    """
     states = zip(result.detected.times, result.states, strict=True)
     return {
         "figures": metrics(result),

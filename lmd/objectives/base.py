@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Headline:
-    """Label, unit and format with which displays show a figure (a metric), such as the main figure of an objective.
+    """Label, unit and format with which displays show a figure (a metric).
 
     Args:
         key: name of the figure in mappings of figures.
         label: name in displays.
         scale: factor from the figure to the displayed unit.
         unit: unit, displayed after the number.
-        form: format of the number in the displayed unit.
+        form: format of the number, as in Python's format strings.
     """
 
     key: str
@@ -61,8 +61,9 @@ UNITS = {
 
 
 def figure_of(key: str) -> Headline:
-    """Return the label, unit and format of the figure (metric) with the name `key`. If no label is known, the name is
-    spelt out.
+    """Return the label, unit and format of the figure (metric) with the name `key`.
+
+    For a figure without a label of its own, the label is the name with spaces instead of underscores.
     """
     prefixes = [prefix for prefix in PREFIXES if prefix in key]
     name = key.removeprefix("".join(prefixes))
@@ -77,7 +78,10 @@ def labelled_figures(figures: Mapping[str, float]) -> dict[str, str]:
 
 
 def with_error(figures: Mapping[str, float], key: str) -> str:
-    """Format a fraction with its standard error, if the error is known, such as `85.32% +- 0.06%`."""
+    """Format the figure `key`, a fraction, with its standard error, such as `85.32% +- 0.06%`.
+
+    The error is left out if it is not in `figures`.
+    """
     error = figures.get(f"{key}_standard_error")
     return f"{figures[key]:.2%}{'' if error is None else f' +- {error:.2%}'}"
 
@@ -99,10 +103,10 @@ class Selection(Protocol):
 
 
 class Objective(Protocol):
-    """Interface of objectives: the value of each position, and the fitness.
+    """Interface of objectives, which value each position of the camera, and compute the fitness from all values.
 
-    Black-box optimisers need these members only; `annealing` needs an `Incremental` objective, and `greedy` needs a
-    `Selectable` objective.
+    Black-box optimisers use only the members of this interface. The optimiser `annealing` also needs those of
+    `Incremental`, and `greedy` those of `Selectable`.
     """
 
     @property
@@ -117,7 +121,7 @@ class Objective(Protocol):
 
     @property
     def headline(self) -> Headline:
-        """Main figure of the objective."""
+        """Label, unit and format of the objective's main figure."""
 
     @property
     def name(self) -> str:
@@ -143,13 +147,16 @@ class Objective(Protocol):
         """Mask, in the shape of `values`, of the qualified positions: those whose value reaches the threshold."""
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
-        """Fitness in [0, 1] that optimisers maximise, `(...)`, from values `(..., P)` and weights of the positions,
-        `(P,)`.
+        """Fitness in [0, 1], which optimisers maximise.
+
+        `values` `(..., P)` are the values of P positions, and `relevance` `(P,)` are their weights. The result has the
+        shape `(...)`.
         """
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
-        """Contribution of each position to each figure (metric) that is a mean over positions: arrays of the shape of
-        `values`, keyed by the figure's name.
+        """Arrays of which the means over positions are figures (metrics), keyed by the figure's name.
+
+        Each array has the shape of `values`. Its entries are the contributions of the positions to the figure.
         """
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
@@ -171,13 +178,15 @@ class Incremental(Protocol):
     """Interface of objectives whose values can be updated when a single landmark moves."""
 
     def field(self, evaluator: Evaluator) -> "Field":
-        """Incremental evaluator (field): it updates the values at the positions of `evaluator` when single landmarks
-        move.
+        """Incremental evaluator (field) for the positions of `evaluator`.
+
+        When a single landmark moves, the field updates the values of these positions.
         """
 
     def target(self, relevance: FloatArray) -> "Target":
-        """Return the `Target`, which computes the fitness from the values of the field. `relevance` `(Q,)` has the
-        weights of the positions, in the field's order.
+        """Return the `Target`, a function that computes the fitness from the values of the field.
+
+        `relevance` `(Q,)` has the weights of the field's Q positions, see `lmd.incremental.field.in_order`.
         """
 
 
@@ -191,13 +200,16 @@ class Selectable(Protocol):
 
 @runtime_checkable
 class SelfValidating(Protocol):
-    """Interface of objectives that compute their figures off the grid themselves, instead of at random poses in the
-    room.
+    """Interface of objectives with their own validation away from the grid of positions.
+
+    Other objectives are validated at random poses in the room.
     """
 
     def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
-        """Figures (metrics) of a deployment off the grid; empty if there are none. The names of the figures begin with
-        `grid_free_`.
+        """Figures (metrics) of a deployment at positions away from the room's grid.
+
+        The names of the figures begin with `grid_free_`. The result is empty if the objective has no data for
+        validation.
         """
 
 

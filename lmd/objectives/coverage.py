@@ -23,7 +23,7 @@ PRICE_BYTES = 24  # memory of a view while poses are selected, bytes: price, cou
 
 
 class Threshold(NamedTuple):
-    """A `Target` whose fitness is the total weight of the positions whose value reaches a threshold."""
+    """Fitness that is the total weight of the positions whose value reaches a threshold; a `Target`."""
 
     threshold: int
     """Least quantised value of a qualified position."""
@@ -43,7 +43,7 @@ def _contribution(target, p, units):  # type: ignore[no-untyped-def]
 
 
 class Mean(NamedTuple):
-    """A `Target` whose fitness is the weighted mean of the values."""
+    """Fitness that is the weighted mean of the positions' values; a `Target`."""
 
     relevance: FloatArray
     """`(Q,)` weights of the positions."""

@@ -1,4 +1,7 @@
-"""Fitness and metrics over the crowd states of a scene, and a `Target` that uses only the worst groups of positions."""
+"""Fitness and metrics of a scene with a crowd, and the fitness over the worst groups of positions.
+
+A crowd state is one arrangement of the crowd's people and robots.
+"""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -15,8 +18,10 @@ from lmd.space.crowd import worst_mean, worst_of
 
 
 class WorstGroups(NamedTuple):
-    """Target whose fitness is the mean fitness of another target over the worst of S groups of positions. The positions
-    of one crowd state, or of one drive, form a group.
+    """Mean fitness over the worst of S groups of positions; a `Target`.
+
+    A group has the positions of one crowd state (arrangement of people), or of one drive. The field `target` is another
+    `Target`, which computes the fitness within a group.
     """
 
     target: Any
@@ -34,8 +39,10 @@ class WorstGroups(NamedTuple):
         return self.target.relevance  # type: ignore[no-any-return]
 
     def of_worst(self, units: IntArray) -> Any:
-        """Target that sums only over the positions of the worst groups, which are chosen by the values `units` `(Q,)`.
-        At these values, the fitness of the returned target and the fitness of this target have equal derivatives.
+        """Target whose fitness is a sum over the positions of the worst groups only.
+
+        The groups that are worst for the quantised values `units` `(Q,)` of the positions are chosen once. At these
+        values, the fitness of the returned target has the derivatives of this target's fitness.
         """
         terms = np.array([contribution(self.target, p, units[p]) for p in range(len(units))])
         sums = np.bincount(self.groups, terms, self.number)
@@ -56,8 +63,9 @@ def _contribution(target, p, units):  # type: ignore[no-untyped-def]
 
 @allocating
 def _worst_of_terms(target: Any, terms: FloatArray) -> Any:
-    """Fitness over the worst groups. `terms` `(Q,)` has the contribution of each position to the fitness of the other
-    target, `target.target`.
+    """Mean fitness over the worst groups of positions.
+
+    `terms` `(Q,)` are the contributions of the positions to the fitness of `target.target`.
     """
     sums = np.zeros(target.number)
     for p in range(len(terms)):
@@ -67,7 +75,7 @@ def _worst_of_terms(target: Any, terms: FloatArray) -> Any:
 
 @allocating
 def _worst_of_units(target: Any, units: Any) -> Any:
-    """Fitness over the worst groups, computed from the quantised values `units` `(Q,)` of the positions."""
+    """Mean fitness over the worst groups of positions, from the quantised (integer) values `units` `(Q,)`."""
     sums = np.zeros(target.number)
     for p in range(len(units)):
         sums[target.groups[p]] += contribution(target.target, p, units[p])
@@ -76,8 +84,10 @@ def _worst_of_units(target: Any, units: Any) -> Any:
 
 @inner
 def _mean_of_worst(sums: FloatArray, worst: Integer) -> Any:
-    """Mean of the `worst` smallest of the S `sums`, times S; the function overwrites `sums`. Without the factor S, the
-    mean would be the fitness of a single group, a part of the whole.
+    """S times the mean of the `worst` smallest of the S numbers in `sums`, which the function overwrites.
+
+    The numbers are the contributions of S groups of positions to the fitness. S times a contribution is the fitness
+    within the group.
     """
     total, number = 0.0, len(sums)
     for _ in range(worst):
@@ -104,15 +114,16 @@ WORST = "worst_crowd_"  # prefix of the figures of the worst states
 
 
 def seeks_worst(evaluator: Evaluator) -> bool:
-    """True if the fitness is the mean over the worst crowd states."""
+    """True if the fitness is the mean over the worst crowd states (arrangements of people) only."""
     crowd = evaluator.scene.crowd
     return crowd is not None and crowd.crowd.fitness == "worst"
 
 
 def over_states(objective: Objective, values: FloatArray, evaluator: Evaluator, relevance: FloatArray) -> FloatArray:
-    """Fitness `(...)` from the values `(..., P)` and the weights `(P,)` of an evaluator's positions. If the fitness is
-    the mean over the worst crowd states (`seeks_worst`), the result is this mean. Otherwise it is the fitness of all
-    positions in all states.
+    """Fitness `(...)` of deployments, from the values `(..., P)` and the weights `(P,)` of an evaluator's positions.
+
+    If `seeks_worst` is True, this is the mean fitness over the worst crowd states (arrangements of people). Otherwise
+    it is the fitness of all positions in all states.
     """
     if not seeks_worst(evaluator):
         return objective.fitness(values, relevance)
@@ -123,8 +134,10 @@ def over_states(objective: Objective, values: FloatArray, evaluator: Evaluator, 
 
 
 def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevance: FloatArray) -> Target:
-    """Return the `Target` with the fitness of `over_states`: it computes this fitness from the values of `field`, a
-    field of `evaluator`.
+    """Return the `Target` that computes the result of `over_states` from the values of `field`.
+
+    `field` is an incremental evaluator for the positions of `evaluator`; `relevance` has the weights of these
+    positions.
     """
     target = incremental(objective).target(in_order(field, relevance))
     if not seeks_worst(evaluator):
@@ -136,8 +149,10 @@ def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevanc
 
 
 def slope_target(target: Target, units: IntArray) -> Target:
-    """Target for the computation of slopes at the values `units` `(Q,)`. Its fitness is a sum over positions. At these
-    values, this fitness and the fitness of `target` have equal derivatives.
+    """Target with which optimisers compute the derivatives of the fitness at the quantised values `units` `(Q,)`.
+
+    Its fitness is a sum over positions. At these values, the derivatives of this sum are those of the fitness of
+    `target`.
     """
     return target.of_worst(units) if isinstance(target, WorstGroups) else target
 
@@ -170,16 +185,20 @@ def describe_crowd(objective: Objective, figures: Mapping[str, float], evaluator
 
 
 def worst_share(shares: FloatArray, evaluator: Evaluator) -> FloatArray:
-    """Mean of `shares` `(P,)`, values in [0, 1], over the worst crowd states: the states in which the mean of `shares`
-    is lowest.
+    """Mean of `shares` `(P,)`, values in [0, 1] of P positions, over the worst crowd states (arrangements of people).
+
+    The worst states are those in which the mean share is lowest.
     """
     count = len(_states(evaluator)[0])
     return worst_mean(shares.reshape(count, -1).mean(axis=-1), _worst_count(evaluator, count))
 
 
 def _states(evaluator: Evaluator) -> tuple[IntArray, IntArray]:
-    """Indices of the crowd states that occur at the positions of an evaluator, and an array `(P,)`: for each position,
-    the index of its state in the first array.
+    """Crowd states (arrangements of people) at the positions of an evaluator.
+
+    Returns:
+        indices of the states that occur, and an array `(P,)` with the entry of the first array for each position's
+            state.
     """
     assert evaluator.states is not None, "there is a crowd"
     present, index = np.unique(evaluator.states, return_inverse=True)

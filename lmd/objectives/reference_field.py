@@ -30,8 +30,9 @@ class ReferenceState(NamedTuple):
 
 
 class ReferenceScratch(NamedTuple):
-    """Working memory with the results of the move tried last. After this move is carried out, the memory has the old
-    place and the old values instead.
+    """Working memory with the results of the move tried last.
+
+    After this move is carried out, the memory has the old place of the landmark and the old values of the positions.
     """
 
     pose: np.ndarray
@@ -44,7 +45,7 @@ class ReferenceScratch(NamedTuple):
 
 @dataclass(frozen=True)
 class ReferenceField:
-    """A `lmd.incremental.field.Field` with the values of an objective at the positions of an evaluator.
+    """Field (incremental evaluator) that evaluates all Q positions anew for each move; a `lmd.incremental.field.Field`.
 
     Args:
         objective: objective that computes the values.
@@ -74,8 +75,9 @@ class ReferenceField:
         return ReferenceScratch(np.empty(6), np.empty(1, dtype=np.int64), state.units.copy())
 
     def units(self, poses: FloatArray) -> np.ndarray:
-        """Quantised value of each position, `(Q,)`, for landmarks with `poses` `(6, K)`: positions, metres, and unit
-        normals.
+        """Quantised (integer) value of each position, `(Q,)`, for given landmarks.
+
+        `poses` `(6, K)` has the positions of the landmarks, metres (rows 0 to 2), and their unit normals.
         """
         values = self.objective.values(self.evaluator, poses[:3].T[None], poses[3:].T[None])[0]
         return np.asarray(np.rint(values * PROBABILITY_ONE), dtype=np.int64)
@@ -101,13 +103,13 @@ def _try(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-de
 
 @settle.register(ReferenceField)
 def _leave(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    """Do nothing: for this field the bounds are exact values already."""
+    """Do nothing: `bound` has already written exact values."""
 
 
 @accept.register(ReferenceField)
 @undo.register(ReferenceField)
 def _exchange(field, k, state, scratch):  # type: ignore[no-untyped-def] # noqa: ARG001
-    """Swap the place of landmark k and the values of all positions between state and scratch."""
+    """Carry out or undo a move: swap landmark k's place and all positions' values between state and scratch."""
     pairs = (
         (state.poses[:, k], scratch.pose),
         (state.surfaces[k : k + 1], scratch.surface),

@@ -39,8 +39,10 @@ class Sampling(Checked):
         object.__setattr__(self, "divisions", divisions_of(self.divisions))
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
-        """Evaluator at random positions, `repeats` in each cell of the grid. The positions come in `repeats` rounds;
-        each round has one position in each cell, in the order of the cells.
+        """Evaluator at random positions, `repeats` in each cell of the room's grid.
+
+        The positions come in rounds. A round has one position in each cell, in the order of the cells. The method
+        `repeats` may increase the number of rounds.
 
         Raises:
             InputError: there is not enough memory for the positions.
@@ -57,9 +59,11 @@ class Sampling(Checked):
         return Evaluator(drawn, positions, threads, states=_states(scene.crowd, repeats, cells, rng))
 
     def repeats(self, scene: Scene, least: int) -> int:
-        """Number of positions drawn in each cell: `least`, or `least` rounded up to a multiple of the number of crowd
-        states. It is rounded up if the fitness is the mean over the worst crowd states, and `least` is at least their
-        number.
+        """Number of positions drawn in each cell of the grid; at least `least`.
+
+        The number is `least`, unless the fitness is the mean over the worst crowd states (arrangements of people). In
+        that case, if there are no more than `least` states, it is `least` rounded up to a multiple of the number of
+        states.
         """
         crowd = scene.crowd
         if crowd is None or crowd.crowd.fitness == "mean" or least < len(crowd):
@@ -68,10 +72,11 @@ class Sampling(Checked):
 
 
 def _states(crowd: CrowdStates, repeats: int, cells: int, rng: np.random.Generator) -> IntArray:
-    """Index of the crowd state at each position of `jittered_grid`, `(repeats cells,)`.
+    """Index of the crowd state (arrangement of people) at each position of `jittered_grid`, `(repeats cells,)`.
 
-    For the mean over states, the states are distributed evenly over the positions of each cell, and over the cells. For
-    the worst states, each state that is used (all states, or a random choice) has equally many positions in all cells.
+    If the fitness is the mean over all states, the states alternate over the positions of a cell, and over the cells.
+    If it is the mean over the worst states, all used states have equally many positions in every cell. With fewer
+    positions in a cell than states, a random choice of states is used.
     """
     count = len(crowd)
     if crowd.crowd.fitness == "mean":

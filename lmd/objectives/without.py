@@ -1,10 +1,8 @@
-"""Exact fitness of a deployment without single landmarks, without pairs of landmarks, and while landmarks are removed
-one by one.
+"""Exact fitness of a deployment without one or two landmarks, and while landmarks are removed one by one.
 
 A landmark is removed by a move to a place where no camera sees it and where it hides no other landmark. Only the
-affected views are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. Moves are not
-settled (`lmd.incremental.field.settle`), because the removed landmark, at its new place, neither hides another landmark
-nor is hidden.
+affected views are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. The step
+`bound` of `lmd.incremental.field` gives exact values for such a move, so the step `settle` is left out.
 """
 
 import numpy as np

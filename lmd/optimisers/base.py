@@ -1,4 +1,7 @@
-"""Base classes of optimisers: the interface that pipelines use, and optimisers that propose batches of genes."""
+"""Base classes of optimisers: the interface that pipelines use, and a base class for black-box optimisers.
+
+Black-box optimisers propose candidates as vectors of *genes*, numbers in [0, 1] that encode a deployment.
+"""
 
 import math
 import sys
@@ -118,8 +121,8 @@ class Optimiser(ABC):
     ) -> Result:  # fmt: skip
         """Call `step` until the budget is used up or `callback` stops the run; return the result of the run.
 
-        `step` is called with the spent fraction of the budget. `spent` returns the exact number of evaluations spent.
-        The ledger's number is not used, because it may be a sum of rounded fractions.
+        `step` is called with the spent fraction of the budget. `spent` returns the exact number of evaluations spent,
+        which `ledger.evaluations` may have with rounding errors.
         """
         while (used := budget.used(spent(), self.ledger.seconds)) < 1.0:
             step(used)
@@ -147,8 +150,9 @@ class Optimiser(ABC):
 class AskTell(Optimiser):
     """Base of optimisers that propose batches of genes (`ask`) and are then told the fitness of these genes (`tell`).
 
-    Overlapping footprints of tags are pushed apart before an evaluation (`lmd.scene.footprints`); the genes do not
-    change. A deployment whose footprints find no room counts as a failed evaluation.
+    Genes are numbers in [0, 1] that encode a candidate, that is, a deployment or the mounts of cameras. Overlapping
+    tags of a candidate are pushed apart before its evaluation (`lmd.scene.footprints`), without a change of the genes.
+    If there is no room for all tags, the evaluation fails.
 
     Subclasses write `_ask` and `_tell` only. `run` sets three attributes before the first `_ask`:
 
@@ -159,8 +163,8 @@ class AskTell(Optimiser):
 
     Args:
         seed: see `Optimiser`.
-        encoding: encoding of landmarks, `wall` or `paper` (`lmd.optimisers.encoding`); None for the encoding that the
-            caller sets before `run`, by default `wall`.
+        encoding: encoding of landmarks, `wall` or `paper` (`lmd.optimisers.encoding`); None for `wall`, unless the
+            caller sets the attribute `encoding` before `run`.
 
     A checkpoint holds the fitness of all batches, but no genes. `restore` repeats all calls of `_ask` and `_tell` with
     this fitness, but evaluates nothing. This reproduces the state of any subclass.
@@ -219,9 +223,10 @@ class AskTell(Optimiser):
         return fitness
 
     def _note_or_tell(self, genes: FloatArray, fitness: FloatArray, asked: int) -> None:
-        """Record a batch, and pass it to `_tell` unless the budget has cut the batch short.
+        """Record a batch of evaluated candidates, and pass the batch to `_tell` if it is complete.
 
-        `asked` is the number of candidates that were proposed; a batch that was cut short has fewer.
+        `asked` is the number of candidates that were proposed. At the end of the budget only a part of them is
+        evaluated.
         """
         if len(genes) == asked:
             self.tell(genes, fitness)
@@ -263,7 +268,10 @@ class AskTell(Optimiser):
         self._genome(problem).reached(self.ledger.best_fitness)
 
     def _draw_start(self, problem: Problem, budget: Budget) -> None:
-        """Set `dim`, `rng` and `start`; `start` has at most as many candidates as the budget can evaluate."""
+        """Set `dim` (number of genes), `rng` (random generator) and `start` (genes of the first candidates).
+
+        There are at most as many first candidates as the budget can evaluate.
+        """
         genome = self._genome(problem)
         self.dim = genome.dim
         taken = f"optimiser: {self.start_size} candidates of {self.dim} genes at a time"
@@ -328,7 +336,7 @@ class DeploymentSearch(Optimiser):
 
     @override
     def state(self) -> dict[str, Any]:
-        """See `Optimiser.state`; a subclass adds its own data to the history and the best deployment."""
+        """See `Optimiser.state`; the data are the history and the best deployment, to which subclasses add theirs."""
         return {**self.ledger.state(), "best": None if self.best is None else deployment_state(self.best)}
 
     @override
@@ -342,12 +350,12 @@ class DeploymentSearch(Optimiser):
         return self.best
 
     def _record(self, problem: Problem, evaluations: float, deployment: Deployment | None, began: float) -> None:
-        """Evaluate a deployment and record its fitness.
+        """Evaluate a deployment, and record its fitness and the evaluations and time spent until now.
 
         Args:
             problem: problem of the run.
-            evaluations: number of full evaluations spent in the whole run.
-            deployment: deployment to be evaluated; None to record only what was spent.
+            evaluations: number of full evaluations spent since the beginning of the run.
+            deployment: deployment to be evaluated; None to evaluate nothing.
             began: time of `clock`, seconds, at which the run would have begun if it had never been paused.
         """
         fitness = -math.inf if deployment is None else problem.fitness_of(deployment)

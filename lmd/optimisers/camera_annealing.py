@@ -1,8 +1,8 @@
 """Simulated annealing of the cameras of a rig, one camera after the other.
 
-After a move only the moved camera is evaluated (`lmd.cameras.problem`), so moving each camera once (a sweep) costs one
-evaluation. A move changes some genes of a camera by random steps, whose size shrinks during the run, or draws new
-values for all genes of the camera.
+The pose of each camera is encoded by genes, numbers in [0, 1]. A move changes some genes of one camera by random steps,
+whose size shrinks during the run, or draws new values for all genes of this camera. After a move only the moved camera
+is evaluated (`lmd.cameras.problem`), so moving each camera once (a sweep) costs one evaluation.
 """
 
 import math
@@ -26,14 +26,15 @@ SHARE_SKIPPED = 0.5  # share of the schedule that is skipped for a given start
 
 
 class CameraAnnealing(Optimiser):
-    """Simulated annealing of the mounts of cameras, given as genes in the unit box.
+    """Simulated annealing of the mounts (poses) of the cameras of a rig, encoded as genes in [0, 1].
 
-    A run from given cameras begins in the middle of the schedule, so that moves at a high temperature do not discard
-    the given cameras.
+    The annealing maximises an energy: the fitness plus `mean_share` times the mean of the objective's value over
+    positions. The temperature, the size of steps and the fraction of jumps change during the run from a first to a last
+    number. A run that starts from given cameras skips the first half of this course, because moves at a high
+    temperature would discard the given cameras.
 
     Args:
-        temperature: first and last temperature, in units of the energy. The energy, which is maximised, is the fitness
-            plus `mean_share` times the mean of the objective's value over positions.
+        temperature: first and last temperature, on the scale of the energy.
         step: first and last standard deviation of the random step of a gene.
         jump: first and last fraction of moves that draw new values for all genes of a camera.
         mean_share: small weight of the mean value in the energy. The mean value changes even where the fitness is
@@ -113,10 +114,10 @@ class CameraAnnealing(Optimiser):
         return None if self.best is None else _cameras(problem).rig(self.best.reshape(-1))
 
     def _note(self, fitness: FloatArray) -> None:
-        """Record in the ledger a sweep, in which one move of each of the C cameras was tried.
+        """Record a sweep, in which one move of each of the C cameras was tried, in the ledger.
 
-        `fitness` `(C,)` has the fitness of the rig tried in each move. Only improvements and the last move are
-        recorded; a move costs 1/C of an evaluation.
+        `fitness` `(C,)` has the fitness of the rig that each move proposed, accepted or not. Improvements and the last
+        move get a record; a move costs 1/C of an evaluation.
         """
         ledger, spent, last = self.ledger, self.ledger.evaluations, len(fitness) - 1
         for move, reached in enumerate(fitness.tolist()):
@@ -129,7 +130,7 @@ class CameraAnnealing(Optimiser):
 
         Args:
             problem: problem of the cameras.
-            used: completed fraction of the schedule, in [0, 1].
+            used: completed fraction of the annealing, in [0, 1].
             energy: energy of the present cameras.
 
         Returns:
@@ -150,7 +151,10 @@ class CameraAnnealing(Optimiser):
         return energy, reached
 
     def _changed(self, genes: FloatArray, used: float) -> FloatArray:
-        """Return the genes `(G,)` of a camera after a random change, at the fraction `used` of the schedule."""
+        """Return the genes `(G,)` of a camera after a random change.
+
+        `used` is the completed fraction of the annealing, on which the size of the change depends.
+        """
         if self.rng.random() < self.jump[0] + used * (self.jump[1] - self.jump[0]):
             return self.rng.random(len(genes))
         step = self.step[0] * (self.step[1] / self.step[0]) ** used

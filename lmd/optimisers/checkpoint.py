@@ -52,7 +52,7 @@ class Checkpoint:
         write_whole(directory / CHECKPOINT_FILE, self._content())
 
     def resume(self, directory: str | Path, problem: Problem) -> None:
-        """Restore the optimiser's state and the tracked run's id, in place, from the checkpoint in `directory`.
+        """Set the state of `optimiser`, and `run_id`, to those of the checkpoint in `directory`.
 
         Args:
             directory: directory of the run to resume.
@@ -93,9 +93,10 @@ class Checkpoint:
 
 
 def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
-    """Copy of `value` for JSON, in which each array is replaced by a name.
+    """Copy of `value`, a part of an optimiser's state, without arrays, so that it can be written as JSON.
 
-    The arrays are added to the mapping `arrays`, keyed by these names. `name` is the path of `value` in the state.
+    Each array is replaced by a name, and is added to `arrays` under this name. `name` is the path of `value` within the
+    state, for example `.best.positions`.
     """
     if value is None or isinstance(value, str | bool | int | float):
         return value
@@ -113,7 +114,7 @@ def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
-    """Read the state, the settings and the id of the tracked run from a checkpoint."""
+    """Read a checkpoint; return the optimiser's state, the settings, and the id under which the run is tracked."""
     try:
         document = _document(path)
         state, run_id = document["state"], document["run"]
@@ -146,5 +147,5 @@ def _document(path: Path) -> Any:
 
 
 def _described(error: Exception) -> str:
-    """Text of an error; the text may contain parts of the checkpoint file."""
+    """Return the type and the message of an error as one line of text, cut to `MOST_TEXT` characters."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:MOST_TEXT]}"

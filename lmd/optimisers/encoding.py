@@ -24,10 +24,10 @@ KINDS = ("wall", "paper")
 
 
 class PaperEncoding:
-    """Encoding of the paper, with five genes for a landmark: x, y, z, yaw rho and pitch eta.
+    """Encoding of the paper, with five genes for a landmark: x, y, z, and yaw rho and pitch eta of its normal.
 
     The point (x, y, z) is projected to the nearest surface that may carry landmarks. With `flush` the landmark has the
-    normal of the surface, and the genes of the two angles have no effect, though they are part of the chromosome.
+    normal of the surface, and the genes of yaw and pitch have no effect.
     """
 
     genes_per_landmark = 5
@@ -76,8 +76,7 @@ class PaperEncoding:
     def _distance(self, points: FloatArray) -> FloatArray:
         """Distance of points `(..., 3)` from each of W surfaces, `(..., W)`, metres.
 
-        If the distances from the planes of the surfaces suffice to find the nearest surface, these are returned
-        instead.
+        In a convex room it is the distance from the plane of the surface, which suffices to find the nearest surface.
         """
         s, depth = self.surfaces, np.abs(self.surfaces.heights(points))
         if self.planes_tell:
@@ -91,10 +90,10 @@ class PaperEncoding:
 class WallEncoding:
     """Encoding with two genes for a landmark: a horizontal coordinate and a height.
 
-    The horizontal coordinate runs along all surfaces, laid side by side; the height is on the surface. Each piece of a
-    surface where landmarks may hang gets an interval of the first gene in proportion to the area of the piece. So
-    uniform random genes give places that are uniform over all pieces. Without `flush`, two more genes turn the
-    landmark's normal by up to 90 degrees towards u and v, the axes of the surface.
+    The horizontal coordinate runs along all surfaces, laid side by side; the height is the coordinate up the surface.
+    Each piece of a surface where landmarks may hang gets an interval of the first gene in proportion to the area of the
+    piece. So uniform random genes give places that are uniform over all pieces. Without `flush`, two more genes turn
+    the landmark's normal by up to 90 degrees towards u and v, the axes of the surface.
     """
 
     def __init__(self, room: Space, flush: bool) -> None:
@@ -156,7 +155,9 @@ def make_encoding(kind: str, room: Space, flush: bool) -> Encoding:
 
 
 class LandmarkGenome:
-    """Genome whose genes encode the free landmarks of a problem; footprints are pushed apart before they are evaluated.
+    """Genes of the free landmarks of a problem (a `Genome`), and the fitness of candidates given by their genes.
+
+    Tags that would overlap are pushed apart before a candidate is evaluated.
 
     Args:
         problem: the problem.
@@ -187,7 +188,7 @@ class LandmarkGenome:
         return self._encoding.encode(self._problem.free(self._problem.draw(rng)))
 
     def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
-        """See `Genome.fitness_of_genes`; the fitness is -inf if there is no room for the footprints."""
+        """See `Genome.fitness_of_genes`; the fitness is -inf if the tags do not fit on the surfaces without overlap."""
         positions, normals, _, fits = self._placed(checked_genes(genes, "B", self.dim))
         return np.where(fits, self._problem.fitness(positions, normals), -np.inf)
 
@@ -200,14 +201,14 @@ class LandmarkGenome:
         """See `Genome.rig`."""
 
     def reached(self, fitness: float) -> None:
-        """See `Genome.reached`; nothing is done, as the fitness of genes does not depend on earlier evaluations."""
+        """See `Genome.reached`; does nothing, because a candidate's fitness does not depend on earlier candidates."""
 
     def _placed(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
         """Decode genes `(B, dim)`, put the fixed landmarks first, and push overlapping footprints apart.
 
         Returns:
-            positions and normals, `(B, K, 3)` each, indices of surfaces, `(B, K)`, and a mask of the candidates whose
-            footprints all find room, `(B,)`.
+            positions and normals, `(B, K, 3)` each, indices of surfaces, `(B, K)`, and a mask `(B,)`: True for a
+            candidate in which no footprints overlap any more.
         """
         problem = self._problem
         positions, normals, surfaces = self._encoding.decode(genes)

@@ -15,9 +15,9 @@ def filled_up(start: FloatArray, size: int, rng: np.random.Generator) -> FloatAr
 
 
 def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
-    """Check and return Y_min and Y_max, the least and the greatest length of a run of exchanged genes.
+    """Check and return Y_min and Y_max, the bounds on the number of successive genes that parents exchange.
 
-    Both are fractions of the chromosome's length.
+    Both are fractions of the number of genes of a chromosome.
 
     Raises:
         InputError: 0 <= shortest <= longest <= 1 does not hold.
@@ -128,7 +128,7 @@ class EGA(AskTell):
         self.population, self.fitness = genes[order], fitness[order]
 
     def _recombine(self, pool: FloatArray) -> FloatArray:
-        """Return the children `(M - 1 - Q, dim)` of the recombinant `pool`, an array of the same shape.
+        """Return the genes of the children of the parents in `pool`, `(M - 1 - Q, dim)` for parents and for children.
 
         The child in row i has the genes of parent i, apart from an exchanged run.
         """

@@ -26,9 +26,10 @@ GROWTH, SHRINKAGE = 1.5, 0.5  # factors of the step after a trial that raises th
 
 @kernel
 def _smooth_fitness(target: Any, units: Any, width: float) -> Any:
-    """Smoothed fitness of a deployment with the quantised values `units` `(Q,)` at Q positions.
+    """Smoothed fitness of a deployment, from the values of Q positions.
 
-    `width` is the width of the smooth step that replaces the threshold, on the scale of the values, 0 to 1.
+    `target` has the functions of the fitness, and `units` `(Q,)` are the values as integers (multiples of a small
+    unit). `width` is the width of the smooth step that replaces the threshold on values; values are in [0, 1].
     """
     total, terms = 0.0, np.empty(len(units))
     for p in range(len(units)):
@@ -40,19 +41,21 @@ def _smooth_fitness(target: Any, units: Any, width: float) -> Any:
 class GradientAscent(DeploymentSearch):
     """Gradient ascents on the smoothed objective, one after the other, each from a random deployment.
 
-    The slope along the surface of each landmark is a central difference with exact values, occlusion included. A trial
-    moves each landmark by one step in the direction of its slope. If the smoothed objective rises, the trial is kept
-    and the step grows, otherwise the step shrinks. When the step falls below its minimum, the ascent goes on with the
-    next width of the smooth threshold. After the last width the next ascent begins. The deployment with the best *true*
-    fitness is kept.
+    The objective is smoothed by a gradual transition in place of the threshold on the values of positions. The slope of
+    each landmark, along its surface, is a central difference of this objective, occlusion included.
+
+    A trial moves each landmark in the direction of its slope; all move by an equal length. If the smoothed objective
+    rises, the trial is kept and the length grows, otherwise the length shrinks. When the length falls below its
+    minimum, the ascent goes on with the next width of the transition. After the last width the next ascent begins. The
+    deployment with the best *true* fitness is kept.
 
     Computing the slopes of all landmarks costs as much of the budget as moving each free landmark to four places; a
     trial costs one evaluation.
 
     Args:
-        step: first and smallest step of a landmark, metres; the central difference uses the present step.
-        widths: successive widths of the smooth step that replaces the threshold in an ascent, on the scale of the
-            values, 0 to 1.
+        step: first and smallest length by which a trial moves landmarks, metres. The present length is also the step of
+            the central difference.
+        widths: widths of the transition in the order of use; values of positions are in [0, 1].
         seed: see `Optimiser`.
 
     Raises:
@@ -197,7 +200,7 @@ class _Climb:
 
         Args:
             difference: step of the central difference, metres.
-            width: width of the smooth step that replaces the threshold, on the scale of the values, 0 to 1.
+            width: width of the smooth step that replaces the threshold on values; values are in [0, 1].
         """
         out, scratch = np.zeros((len(self._here), 2)), self._field.scratch(self._state)
         target = slope_target(self._target, self._state.units)
@@ -216,7 +219,7 @@ class _Climb:
     def rises(self, trial: Deployment, width: float) -> bool:
         """Move to the deployment `trial` if its smoothed fitness is higher; return True in this case.
 
-        `width` is the width of the smooth step that replaces the threshold, on the scale of the values, 0 to 1.
+        `width` is the width of the smooth step that replaces the threshold on values; values are in [0, 1].
         """
         state, smooth = self._field.state(trial), runner(self._field, _smooth_fitness)
         before, now = (smooth(self._target, each.units, width) for each in (self._state, state))

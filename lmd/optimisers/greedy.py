@@ -1,4 +1,4 @@
-"""Greedy choice of landmarks by a submodular surrogate of the objective (`selection`), refined by a local search."""
+"""Greedy choice of landmarks one by one, each where it adds most to a surrogate of the objective (`selection`)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,11 +25,11 @@ REFINING_STAGE = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3,
 
 
 class Greedy(Annealing):
-    """Greedy selection from a grid of poses on the walls; the rest of the budget refines the result by annealing at a
-    low temperature.
+    """Greedy selection from a grid of poses on the surfaces, refined by annealing at a low temperature.
 
-    The footprints of chosen poses do not overlap. Evaluating the gain of one pose costs as much of the budget as moving
-    one landmark.
+    Landmarks are chosen one by one, each at the pose with the largest gain of a surrogate of the objective
+    (`selection`). Their footprints do not overlap. Evaluating the gain at one pose costs as much of the budget as
+    moving one landmark. The rest of the budget is spent on the annealing.
 
     Args:
         spacing: spacing of the grid, metres; enlarged if the budget does not suffice.
@@ -61,7 +61,7 @@ class Greedy(Annealing):
 class GreedyDeployment(Checked):
     """Deployment chosen greedily, to be evaluated or to start any optimiser (`deployment=greedy`).
 
-    The cost of the choice is not charged to the budget of an optimiser that starts from this deployment.
+    The choice costs none of the budget of an optimiser that starts from this deployment.
 
     Args:
         count: number of landmarks.

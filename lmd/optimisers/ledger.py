@@ -121,21 +121,23 @@ class Ledger:
 
 
 def columns_of(history: Sequence[Record]) -> dict[str, list[float]]:
-    """Columns of a table with the history of a run, keyed by name, from the first successful evaluation on."""
+    """Columns of a table with the history of a run: a column for each field of `Record`, keyed by the field's name.
+
+    The table begins with the first successful evaluation.
+    """
     known = [record for record in history if math.isfinite(record.best_fitness)]
     return {key.name: [getattr(record, key.name) for record in known] for key in fields(Record)}
 
 
 def curve(history: Sequence[Record], budget: Budget, until: float = math.inf) -> list[tuple[int, float, float]]:
-    """Points (step, best fitness, seconds) of the curve of a run up to the step `until`.
+    """Points (step, best fitness, seconds) of the curve of a run, up to the step `until`, for example for mlflow.
 
-    All runs with equal budgets have points at equal steps.
+    A step is a number of evaluations, or of whole seconds if only seconds are limited. Steps are 1, 2, 5, 10, 20, ...
+    and each hundredth of the budget. So all runs with equal budgets have points at equal steps, and the mean curve of
+    several runs, as mlflow draws it, never falls.
 
-    mlflow draws a group of runs as the mean over those runs that have a value at a step. Because all runs share their
-    steps, this mean never falls. Steps are 1, 2, 5, 10, 20, ... and each hundredth of the budget, in evaluations, or in
-    whole seconds if only seconds are limited. A point has the best fitness of the last record up to its step, and the
-    seconds of the first record from its step on. Steps before the first record have the fitness of the first record,
-    steps after the last record the seconds of the last record.
+    A point has the best fitness of the last record up to its step, and the seconds of the first record from its step
+    on. Points before the first record have its fitness; points after the last record have its seconds.
     """
     in_seconds = budget.evaluations is None
     most = math.ceil(budget.evaluations or budget.seconds or 0)

@@ -1,11 +1,14 @@
 """Best choice of landmark poses from a lattice, with a proof of optimality, by mixed-integer linear programming.
 
-The solver is HiGHS.
+The solver is HiGHS. A lattice is a regular grid of poses on the surfaces. A view is a position p together with an
+optical axis a of the camera. The program uses these numbers:
 
-A view is a position p together with an optical axis a of the camera. Let `A_jpa` = 1 if the view sees a landmark at
-pose j of the lattice (occlusion ignored), else 0. Let `x_j` be the number of landmarks at pose j, and K the number of
-landmarks to place. Let `w_a` be the probability of an axis, `r_p` the relevance of a position, and `thold_p` the
-threshold on the total probability of its views that see at least n landmarks. The program is the following.
+- `A_jpa`: 1 if the view of position p and axis a sees a landmark at pose j (occlusion ignored), else 0;
+- `x_j`: number of landmarks at pose j; K is the number of landmarks to place;
+- `w_a`: probability of axis a; `r_p`: relevance of position p;
+- `thold_p`: position p is qualified if its views that see at least n landmarks have at least this total probability.
+
+The program is:
 
     maximise   sum_p r_p z_p                                        z_p: position p is qualified
     such that  n y_pa <= sum_j A_jpa x_j   for all p, a             y_pa: the view sees at least n landmarks
@@ -13,9 +16,9 @@ threshold on the total probability of its views that see at least n landmarks. T
                sum_j x_j = K,   of each size of tags if there are several,   y and z 0 or 1,
                x_j 0 to n for points; 0 or 1 for tags, and x_i + x_j <= 1 where their papers overlap.
 
-Views of a position that see equal sets of poses are combined into one row, with the sum of their weights `w_a`.
-Occlusion only reduces the numbers of landmarks seen, so a bound on the program also holds with occlusion. The chosen
-deployment is evaluated with occlusion, after landmarks at the same pose are separated.
+Views of a position that see the same set of poses share one constraint and one y, with the sum of their `w_a`.
+Occlusion only reduces the numbers of landmarks seen, so an upper bound on the program also holds with occlusion. The
+chosen deployment is evaluated with occlusion, after landmarks that share a pose are separated.
 """
 
 import operator
@@ -131,18 +134,16 @@ def _views(problem: Problem) -> FloatArray:
 
 
 def _used(problem: Problem) -> BoolArray:
-    """Mask of the optical axes that have a positive probability.
-
-    Axes are stored as bits of 64-bit integers; the unused bits of the last integer are axes with probability 0.
-    """
+    """Mask of the optical axes that have a positive probability; the evaluator also stores axes that never occur."""
     return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
 
 
 @dataclass(frozen=True)
 class Program:
-    """Integer program with variables for J poses, R rows and P positions: x, y and z of the module's text.
+    """Integer program of the module docstring, with J variables x, R variables y and P variables z.
 
-    A row stands for the views of one position that would see landmarks at the same poses of the lattice.
+    J is the number of poses, and P the number of positions. Each of the R rows stands for all views of one position
+    that see the same set of poses.
     """
 
     covers: csr_array
@@ -257,9 +258,10 @@ class Milp(DeploymentSearch):
         self.proven: dict[str, float] = {}
 
     def figures(self) -> dict[str, float]:
-        """Metrics, keyed by name: the upper bound, the value of the solver's choice without occlusion, and the gap.
+        """Metrics of the proof, keyed by name.
 
-        The gap is the difference between the bound and the fitness of the result.
+        `lattice_bound` is the upper bound on the fitness, `lattice_found` the fitness of the solver's deployment if
+        occlusion is ignored, and `lattice_gap` the bound minus the fitness of the result.
         """
         return self.proven
 

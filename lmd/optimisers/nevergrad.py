@@ -24,7 +24,8 @@ class Nevergrad(Wrapped):
         name: name of a registered optimiser, e.g. `TwoPointsDE`, `NGOpt`, `RLSOnePlusOne`.
         workers: number of candidates that the method proposes at a time; 1 for methods that must be told each fitness
             before they propose again.
-        budget: number of evaluations for which the method plans; None for `PLANNED`, after which the method restarts.
+        budget: number of evaluations for which the method plans its search; if None, the method plans for `PLANNED`
+            evaluations, and is restarted after these.
         step: standard deviation of a step (genes span 1); None for nevergrad's default, 1/6.
         encoding: see `AskTell`.
         seed: see `Optimiser`.

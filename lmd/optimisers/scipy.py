@@ -32,7 +32,7 @@ class Scipy(Wrapped):
     criterion before the budget is used up, the function is called again.
 
     Args:
-        minimise: function that is called with the objective and `bounds`; in YAML a node with `_target_` (the
+        minimise: function of SciPy that minimises an objective within `bounds`; in YAML a node with `_target_` (the
             function), `_partial_: true` and the function's parameters.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
@@ -54,7 +54,7 @@ class Scipy(Wrapped):
 
     @override
     def check(self, problem: Problem) -> None:
-        """Raise `InputError` for shgo if the corners of the unit box would not fit into memory."""
+        """See `Optimiser.check`; shgo is also refused if there is too little memory for the corners of the unit box."""
         super().check(problem)
         if self.called == "shgo":
             dim = self._genome(problem).dim

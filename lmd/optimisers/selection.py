@@ -1,13 +1,14 @@
-"""Lazy greedy selection of poses from a grid on the surfaces of the room.
+"""Greedy selection of landmark poses from a grid on the surfaces of the room.
 
-An objective's surrogate (its `selection`) is monotone and submodular. If in each step the pose with the largest gain is
-added, the surrogate reaches at least 1 - 1/e of its value for the best choice of poses. The gain of a pose never
-increases when other poses are added, so the lazy variant (Minoux 1978) is exact: a pose is evaluated again only while
-its last known gain is the largest.
+The objective is replaced by a surrogate (its `selection`), a function of the set of chosen poses. The *gain* of a pose
+is the increase of the surrogate when the pose is added. In each step the pose with the largest gain is added. The
+surrogate is monotone and submodular, so the choice reaches at least 1 - 1/e of the largest possible value. The gain of
+a pose never increases when other poses are added. So the gain is computed again only while its last known value is the
+largest, which does not change the result (lazy variant, Minoux 1978).
 
-For tags of several sizes, a candidate is a pose with a size, and may be chosen while unplaced tags of this size remain.
-If instead the area of paper or the cost of all tags is limited, candidates are compared by their gain divided by their
-area or cost, their "price".
+For tags of several sizes, a candidate is a pose with a size. It may be chosen while unplaced tags of this size remain.
+If instead the paper area or the cost of all tags is limited, candidates are compared by their gain divided by their
+*price*: the area or cost of one tag.
 """
 
 import operator
@@ -37,16 +38,17 @@ ROUNDING = 1e-9  # relative tolerance of a limit
 
 @dataclass(frozen=True)
 class Tags:
-    """Supply of landmarks for a selection, with a given number for each size."""
+    """Stock of landmarks from which a greedy selection chooses, with a given number of landmarks of each size."""
 
     sizes: FloatArray
     """Edge length of each of the K landmarks, `(K,)`, metres; zeros for points."""
     tag: Tag
-    """Tag that applies to poses without an edge length of their own."""
+    """Tag whose edge length applies to poses that have none."""
 
     def prices(self, poses: Deployment) -> FloatArray:
-        """Price of a landmark at each of N poses, `(N,)`. The selection compares poses by their gain divided by this
-        price.
+        """Price of a landmark at each of N poses, `(N,)`; here 1, as only the number of landmarks is limited.
+
+        The selection compares poses by their gain divided by this price.
         """
         return np.ones(len(poses))
 
@@ -62,7 +64,7 @@ class Tags:
 
 @dataclass(frozen=True)
 class Limited:
-    """Supply of landmarks for a selection with a limit on the total price of the tags, which may have any size."""
+    """Stock of tags from which a greedy selection chooses: any number of each size, up to a total price."""
 
     total: float
     """Limit on the total price: square metres of paper, or cost."""
@@ -76,7 +78,7 @@ class Limited:
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
         """Mask `(N,)` of the poses whose price exceeds the rest of the limit.
 
-        `chosen` are the indices of the poses that have been chosen and use up a part of the limit.
+        The rest is the limit minus the prices of the poses that have been chosen, which have the indices `chosen`.
         """
         prices = self.prices(poses)
         return np.asarray(prices > self.total * (1.0 + ROUNDING) - prices[list(chosen)].sum())
@@ -94,20 +96,22 @@ def select(
     fixed: Deployment | None = None,
     stop: Callable[[], bool] = bool,
 ) -> tuple[IntArray, int]:
-    """Choose poses greedily, by gain divided by price, each at most once, so that no footprints overlap.
+    """Choose poses greedily: in each step the pose with the largest ratio of gain to price.
+
+    A pose is chosen at most once, and no footprints of tags overlap.
 
     Args:
-        selection: surrogate without landmarks; fixed and chosen landmarks are added to it in place.
+        selection: surrogate of the objective, which gives the gain of adding a landmark. It contains no landmarks at
+            first; fixed and chosen landmarks are added in place.
         poses: N candidate poses.
-        stock: supply of landmarks, or the number of landmarks if these are points.
+        stock: landmarks that may be chosen, and their prices; a number of landmarks if these are points.
         footprints: footprints of the tags; None for landmarks that are points.
-        allowance: largest number of gains that may be evaluated; fewer poses are chosen if this number does not
-            suffice.
-        fixed: fixed landmarks, which are added before the first of the poses.
+        allowance: largest number of gains that may be computed; fewer poses are chosen if this number does not suffice.
+        fixed: fixed landmarks, which are added before any pose is chosen.
         stop: function that is called from time to time, and returns True to end the choice early.
 
     Returns:
-        indices of the chosen poses in the order of choice, and the number of gains evaluated.
+        indices of the chosen poses in the order of choice, and the number of computed gains.
     """
     stock = Tags(np.zeros(stock), POINT) if isinstance(stock, int) else stock
     known, taken, prices = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool), stock.prices(poses)
@@ -142,21 +146,25 @@ def select(
 
 
 def add_each(selection: Selection, fixed: Deployment | None) -> None:
-    """Add the `fixed` landmarks to a selection in place, one after the other; None adds no landmark."""
+    """Add the `fixed` landmarks to `selection`, the surrogate of an objective, in place; None adds no landmark."""
     if fixed is not None:
         for k in range(len(fixed)):
             selection.add(fixed[k : k + 1])
 
 
 def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Deployment:
-    """Candidate poses for landmarks: a grid of the places where tags may hang, for each edge length.
+    """Candidate poses, from which a greedy selection chooses: a grid on all surfaces for each edge length of tags.
 
-    The poses have edge lengths of their own if any of `edges` is not NaN.
+    A tag at any of these poses is within the region where tags may hang.
 
     Args:
         footprints: footprints of the tags, and the surfaces on which they may hang.
         edges: edge lengths of K tags, `(K,)`, metres; NaN for the edge length of the scene's tag.
         spacing: spacing of the grids, metres.
+
+    Returns:
+        deployment with one landmark for each candidate pose, and with the edge lengths of the landmarks. If all of
+        `edges` are NaN, the edge lengths are NaN.
     """
     parts, own = [], not np.isnan(edges).all()
     for edge in np.unique(footprints.tag.filled(edges)):
@@ -166,9 +174,9 @@ def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Dep
 
 
 def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float, most: float) -> Deployment:
-    """Candidate poses (`candidates`) on a grid whose `spacing`, metres, is enlarged so that there are at most `most`.
+    """Candidate poses as returned by `candidates`, with a larger spacing if there would be more than `most` poses.
 
-    The spacing is not enlarged further than to one pose of each size on each piece of a surface.
+    If the spacing reaches the extent of the largest surface, it is not increased further.
     """
     poses, widest = candidates(footprints, edges, spacing), max(max(wall.extent) for wall in footprints.room.surfaces())
     while len(poses) > most and spacing < widest:
@@ -180,19 +188,19 @@ def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float
 def greedy_start(
     problem: Problem, start: Deployment, spacing: float, allowance: float, stop: Callable[[], bool]
 ) -> tuple[Deployment, int]:
-    """Choose landmarks greedily until an allowance is used up or `stop` returns True.
+    """Replace the free landmarks of `start` by greedily chosen landmarks, as far as `allowance` and `stop` permit.
 
-    Landmarks that are not chosen keep their poses in `start`.
+    Landmarks that are not replaced keep their poses.
 
     Args:
-        problem: problem whose objective has a selection.
+        problem: problem whose objective has a surrogate for greedy choice (`selection`).
         start: K landmarks; fixed landmarks come first.
         spacing: spacing of the grid of poses, metres; larger if the allowance does not suffice for the grid.
-        allowance: largest number of gains to evaluate.
+        allowance: largest number of gains that may be computed; a gain is the increase of the surrogate by a landmark.
         stop: function that is called from time to time, and returns True to end the choice early.
 
     Returns:
-        the deployment, and the number of gains evaluated.
+        the new deployment, and the number of computed gains.
     """
     footprints = problem.scene.footprints
     poses = _candidates_within(footprints, problem.free_edges, spacing, allowance / 2)
@@ -218,9 +226,10 @@ def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deploym
 def composition(
     scene: Scene, objective: Objective, threads: int | None = None, fixed: Deployment | None = None
 ) -> tuple[int, ...]:
-    """Choose the number of tags of each edge length by greedy selection.
+    """Return the number of tags of each edge length, in the order of the tag's `edges`, chosen by greedy selection.
 
-    Candidate poses are compared by their gain divided by their price.
+    A candidate is a pose with an edge length. In each step the candidate with the largest ratio of gain to price (paper
+    area or cost) is chosen.
 
     Args:
         scene: scene whose tag has several edge lengths, and a limit on the area of paper or on the cost.
@@ -229,7 +238,7 @@ def composition(
         fixed: fixed landmarks, with their surfaces.
 
     Raises:
-        InputError: the limit does not suffice for one tag, or the objective has no selection.
+        InputError: the limit does not suffice for one tag, or the objective has no surrogate.
     """
     tag, footprints = scene.tag, scene.footprints
     edges, stock = np.array(tag.edges), stock_of_sizes(tag, footprints, tag.limit or 0.0)
@@ -248,8 +257,9 @@ def composition(
 
 
 def stock_of_sizes(tag: Tag, footprints: Footprints, limit: float) -> Stock:
-    """Supply of tags with any of the edge lengths of `tag`. The limit is on the total cost if the tag has a budget,
-    else on the total area of paper, square metres.
+    """Stock of tags with any of the edge lengths of `tag`, for a greedy selection.
+
+    `limit` is the limit on the total cost if the tag has a budget, else on the total area of paper, square metres.
     """
     if tag.budget is None:
         return Limited(limit, lambda poses: footprints.papers(poses) ** 2)

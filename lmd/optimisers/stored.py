@@ -59,7 +59,7 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
-    """Make a random generator from data that `generator_state` returned; `name` is its name in messages.
+    """Make a random generator from `state`, data that `generator_state` returned; `name` is used in messages.
 
     Raises:
         InputError: `state` is not the state of a generator.

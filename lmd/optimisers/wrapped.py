@@ -44,9 +44,9 @@ class Wrapped(AskTell):
 
     Subclasses write `_open` only.
 
-    - If an optimiser ends before the budget, a new optimiser with another seed starts from the best genes.
-    - Libraries draw from global random generators. During the calls of a library, these have a state of their own,
-      which begins with the seed. After each call, their former state is restored.
+    - If an optimiser ends before the budget is used up, a new optimiser with another seed starts from the best genes.
+    - Libraries draw from the global random generators of Python and NumPy. During a call of a library, the state of
+      these generators follows from the optimiser's seed. After the call, their former state is restored.
     """
 
     def __init__(self, seed: int = 0, encoding: str | None = None) -> None:

@@ -1,1 +1,1 @@
-"""Estimation of an orientation PDF from recorded orientations by the paper's Monte Carlo procedure."""
+"""Estimation of the probabilities of a camera's orientations from a recording, by the paper's Monte Carlo procedure."""

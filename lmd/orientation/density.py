@@ -1,9 +1,10 @@
-"""Steps 4 and 5 of the paper's procedure: test of independence, and fit of a density to one angle or to both angles.
+"""Steps 4 and 5 of the paper's procedure: test that yaw and pitch are independent, and fit of a probability density.
 
-A density is represented by the probabilities of fine cells of equal width over each angle. Parametric families and
-kernel estimates are compared by the cross-validated log-likelihood per sample: each fold, a contiguous section of the
-recording, is scored by the fit to the other folds. The one-standard-error rule on paired differences chooses the
-simplest family within one standard error of the best family.
+A density is represented by the probabilities of fine cells of equal width over each angle. Several families of
+densities, parametric families and a kernel estimate, are compared by cross-validation. The recording is divided into
+contiguous sections (folds). A family is fitted to all folds but one, and its log-likelihood is computed for the samples
+of the omitted fold. The one-standard-error rule chooses the simplest family that is worse than the best family by at
+most one standard error of the difference of their mean log-likelihoods.
 """
 
 from collections.abc import Callable, Sequence
@@ -54,7 +55,7 @@ class AngleCells:
         return np.asarray((self.edges[:-1] + self.edges[1:]) / 2.0)
 
     def index(self, angle: FloatArray) -> IntArray:
-        """Index of the cell that contains each of the angles `(S,)`, radians; `(S,)`."""
+        """Indices `(S,)` of the cells that contain the angles `angle` `(S,)`, radians."""
         offset = angle - self.low
         if self.circular:
             offset = np.mod(offset, self.high - self.low)
@@ -78,7 +79,7 @@ Family = Callable[[FloatArray, AngleCells], Density]
 
 @dataclass(frozen=True)
 class Candidate:
-    """Result of one family in the comparison of families."""
+    """Fit of one family of densities to samples of an angle, and its score in the comparison of families."""
 
     density: Density
     """Fit to all samples."""
@@ -91,14 +92,21 @@ class Candidate:
 
 
 def uniform(_angle: FloatArray, axis: AngleCells) -> Density:
-    """Return the uniform density, with equal probabilities for all cells."""
+    """Return the uniform density of an angle, with equal probabilities for all cells of `axis`."""
     return Density("uniform", {}, np.full(axis.cells, 1.0 / axis.cells))
 
 
 def von_mises(angle: FloatArray, axis: AngleCells) -> Density:
-    """Fit the von Mises distribution by maximum likelihood.
+    """Fit a von Mises distribution (the analogue of a normal distribution on a circle) by maximum likelihood.
 
-    Its density is exp(kappa cos(x - mu)) / (2 pi I_0(kappa)).
+    The density at the angle x is exp(kappa cos(x - mu)) / (2 pi I_0(kappa)), with mean mu and concentration kappa.
+
+    Args:
+        angle: samples, `(S,)`, radians.
+        axis: cells into which the range of the angle is divided.
+
+    Returns:
+        probabilities of the cells, and the fitted mu and kappa.
     """
     kappa, mean, _ = vonmises.fit(angle, fscale=1)
     probability = np.diff(vonmises.cdf(axis.edges, kappa, loc=mean))
@@ -106,9 +114,13 @@ def von_mises(angle: FloatArray, axis: AngleCells) -> Density:
 
 
 def normal(angle: FloatArray, axis: AngleCells) -> Density:
-    """Fit a normal distribution that is truncated to the range of the angle.
+    """Fit a normal distribution, truncated to the range of an angle, to samples of the angle.
 
-    Its mean and standard deviation before the truncation are those of the samples.
+    The mean and the standard deviation of the distribution before truncation are those of the samples.
+
+    Args:
+        angle: samples, `(S,)`, radians.
+        axis: cells into which the range of the angle is divided.
     """
     mean, std = norm.fit(angle)
     std = max(std, axis.width / 4.0)  # at least a quarter of a cell, as a fold may contain a single value
@@ -118,21 +130,23 @@ def normal(angle: FloatArray, axis: AngleCells) -> Density:
 
 
 def kernel_estimate(angle: FloatArray, axis: AngleCells) -> Density:
-    """Fit a kernel density estimate to the samples of one angle, see `kernel_density`."""
+    """Fit a kernel density estimate to samples `angle` `(S,)`, radians; return it on the cells of `axis`."""
     probability, (bandwidth,) = kernel_density((axis.index(angle),), (axis,))
     return Density("kernel", {"bandwidth": bandwidth}, probability)
 
 
 def kernel_density(index: tuple[IntArray, ...], axes: tuple[AngleCells, ...]) -> tuple[FloatArray, tuple[float, ...]]:
-    """Estimate a density with Gaussian kernels, wrapped on circular axes and reflected at the ends of other axes.
+    """Estimate the density of one angle or of two angles with Gaussian kernels, whose widths cross-validation chooses.
+
+    Kernels are wrapped on a circular range, and reflected at the ends of another range.
 
     Args:
-        index: index of each sample's cell, one array `(S,)` for each angle.
-        axes: fine cells of one angle or of two angles.
+        index: for each angle, the indices of the cells that contain the S samples, `(S,)`.
+        axes: for each angle, the fine cells of its range.
 
     Returns:
-        probabilities of the fine cells, `(M,)` or `(M_1, M_2)`, and the bandwidth of each axis, radians, which
-        cross-validation chooses.
+        probabilities of the fine cells, `(M,)` or `(M_1, M_2)`, and the width (bandwidth) of the kernel along each
+        angle, radians.
     """
     shape = tuple(axis.cells for axis in axes)
     cell = np.ravel_multi_index(index, shape)
@@ -163,15 +177,17 @@ def kernel_density(index: tuple[IntArray, ...], axes: tuple[AngleCells, ...]) ->
 
 
 def choose(angle: FloatArray, axis: AngleCells, families: Sequence[Family]) -> tuple[Density, tuple[Candidate, ...]]:
-    """Choose a family for samples of an angle by the one-standard-error rule (module docstring).
+    """Fit several families of densities to samples of an angle, and choose one by the one-standard-error rule.
+
+    The rule is explained in the module docstring.
 
     Args:
         angle: samples, radians, ordered in time, `(S,)`.
-        axis: cells of the angle.
-        families: candidates, the simplest first.
+        axis: cells into which the range of the angle is divided.
+        families: functions that fit a family, such as `von_mises`, in the order from simple to complex.
 
     Returns:
-        the chosen density, and all candidates.
+        the chosen density, and the fits and scores of all families.
     """
     index = axis.index(angle)
     scores = np.empty((len(families), len(angle)))
@@ -234,13 +250,14 @@ class Independence:
 
 
 def independence_test(samples: Samples, significance: float, rng: np.random.Generator) -> Independence:
-    """Pearson's chi-squared test of the contingency table of yaw and pitch bins, with a Monte Carlo p value.
+    """Test by Pearson's chi-squared statistic that yaw and pitch are independent.
 
-    Bins are categories, so the seam of the yaw needs no special treatment, and nonlinear dependence is detected. Bins
-    have equal numbers of samples. The p value is the fraction of random tables, with the margins of the data, whose
-    statistic is at least that of the data. So the p value is also valid for few samples. The test assumes independent
-    samples, which random intervals provide. If samples were closer in time than the correlation time, the test would
-    reject too often.
+    The statistic is computed from a contingency table: the numbers of samples in each combination of a bin of yaw and a
+    bin of pitch. Bins have about equal numbers of samples. The p-value is the fraction of random tables, with the row
+    and column sums of the data, whose statistic is at least that of the data, so it is also valid for few samples.
+
+    The test assumes independent samples. If samples were closer in time than the correlation time of the recording, the
+    test would reject too often.
 
     Args:
         samples: samples of yaw and pitch, neither of them fixed.

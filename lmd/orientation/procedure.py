@@ -106,7 +106,7 @@ class Marginal:
     def described(self) -> str:
         """Text with the chosen density and with all candidates.
 
-        For each candidate, the text states the amount by which its log-likelihood is below the best one.
+        For each candidate, the text states how far its log-likelihood is below that of the best candidate.
         """
         parameters = ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in self.density.parameters.items())
         name = self.density.family.replace("_", " ") + (f" ({parameters})" if parameters else "")
@@ -244,15 +244,15 @@ def _marginal(angle: FloatArray, axis: AngleCells, block: int, families: Sequenc
 
 
 def _gathered(table: FloatArray, yaw: Marginal, pitch: Marginal, name: str) -> OrientationPdf:
-    """PDF on the orientation grid: the probability of each cell, at the mean orientation in the cell.
+    """Orientation PDF: the mean orientation and the total probability of each cell of the orientation grid.
 
-    Unlike the centre of the cell, the mean orientation preserves the mean of a pitch that hardly varies. Negligible
-    cells are dropped.
+    The mean orientation is used in place of the centre of the cell, so that the mean of a pitch that hardly varies is
+    preserved. Cells with a negligible probability are dropped.
 
     Args:
-        table: probabilities at the angles of the marginals, `(M_yaw, M_pitch)`.
-        yaw: marginal of the yaw.
-        pitch: marginal of the pitch.
+        table: probabilities of the fine cells of yaw (rows) and pitch (columns), `(M_yaw, M_pitch)`.
+        yaw: samples and fit of the yaw, with its fine cells.
+        pitch: samples and fit of the pitch, with its fine cells.
         name: name of the PDF, for messages.
     """
     cell = yaw.grid_cell[:, None] * (pitch.grid_cell[-1] + 1) + pitch.grid_cell

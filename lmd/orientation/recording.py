@@ -79,9 +79,9 @@ class OrientationRecording:
         return self.duration / (len(self.time) - 1)
 
     def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Yaw and pitch at times `(S,)` within the recording, `(S,)` each, from the last record before each time.
+        """Yaw and pitch, radians, `(S,)` each, at S times within the recording: those of the last record before a time.
 
-        Without interpolation, the seam of the yaw at +-pi needs no special treatment.
+        There is no interpolation, so the jump of the yaw between pi and -pi does no harm.
         """
         index = np.searchsorted(self.time, time, side="right") - 1
         return self.yaw[index], self.pitch[index]
@@ -127,7 +127,7 @@ class OrientationRecording:
 
 
 class RecordingSource(Protocol):
-    """Source of a recording."""
+    """Interface of sources of a recording: files, and simulated motion."""
 
     def record(self, rng: np.random.Generator) -> OrientationRecording:
         """Return the recording; only a simulated recording draws random numbers from `rng`."""
@@ -149,15 +149,15 @@ class FileRecording:
 
 @dataclass(frozen=True)
 class SimulatedRecording(Checked):
-    """Simulated smooth random motion.
+    """Recording of a simulated smooth random motion of a camera.
 
     At any time the yaw has a von Mises distribution, and the pitch a truncated normal distribution.
 
-    z_1 and z_2 are stationary Gaussian processes with the autocorrelation exp(-t^2 / (2 tau^2)). The phase phi has a
-    uniform start and the rate z_1 / tau, so phi is uniform at any time. The yaw is the von Mises quantile of
-    `phi / (2 pi) + 1/2` with phi wrapped to [-pi, pi), so the seam of the yaw needs no special treatment. The pitch is
-    the truncated normal quantile with the normal score c g + sqrt(1 - c^2) z_2, where g is the normal quantile of
-    `|phi| / pi`.
+    z_1 and z_2 are stationary Gaussian processes with the autocorrelation exp(-t^2 / (2 tau^2)). The phase phi, wrapped
+    to [-pi, pi), has a uniform start and the rate z_1 / tau, so phi is uniform at any time. The yaw is the quantile of
+    the von Mises distribution at the probability phi / (2 pi) + 1/2. The pitch is the quantile of the truncated normal
+    distribution at the probability N(s), with s = c g + sqrt(1 - c^2) z_2. Here N is the standard normal distribution
+    function, c is `coupling`, and g is the standard normal quantile of |phi| / pi.
 
     Args:
         duration: length of the recording, seconds.
@@ -167,7 +167,7 @@ class SimulatedRecording(Checked):
         yaw_concentration: concentration kappa >= 0 of the von Mises distribution; 0 is uniform.
         pitch_mean: mean of the normal distribution before truncation to [-pi/2, pi/2], radians.
         pitch_std: standard deviation of the normal distribution before truncation, radians; 0 for a fixed pitch.
-        coupling: c in [-1, 1], correlation between the normal scores of the pitch and of the yaw's distance from its
+        coupling: c in [-1, 1], correlation of s and g, that is, of the pitch with the distance of the yaw from its
             mean; 0 makes yaw and pitch independent.
 
     Raises:

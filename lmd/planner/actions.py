@@ -38,16 +38,16 @@ class ActionQueue:
             return None
 
     def on(self, register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:
-        """Append `answer` to the queue at each event of viser.
+        """Arrange that each event of a kind, such as a click, appends a call of `answer` with the event to the queue.
 
-        `register` is viser's function that registers a callback for the event; `answer` is called with the event.
+        `register` is the function of viser that registers a callback for this kind of event.
         """
         call_in_order(register, partial(self.put_answer, answer))
 
     def put_answer(self, answer: Callable[..., None], *of_event: Any) -> None:
-        """Append the function `answer`, with its arguments `of_event`, to the queue.
+        """Append a call of `answer` with the arguments `of_event` to the queue.
 
-        Browsers may send invalid values. So if the function fails, its error is replaced by an `InputError`.
+        Browsers may send invalid values. So if the call fails, its error is replaced by an `InputError`.
         """
         self.put(partial(_answer, answer, *of_event))
 
@@ -63,10 +63,10 @@ def _answer(answer: Callable[..., None], *of_event: Any) -> None:
 
 
 def call_in_order(register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:
-    """Call `answer` for each event of viser, in the order of the events.
+    """Arrange that `answer` is called for each event of a kind, such as a drag, in the order of the events.
 
-    The call is in viser's own thread, so `answer` must not block. `register` is viser's function that registers a
-    callback.
+    `register` is the function of viser that registers a callback for this kind of event. Calls are in viser's own
+    thread, so `answer` must not block.
     """
 
     async def call(event: Any) -> None:  # viser runs plain functions in a pool of threads, in any order

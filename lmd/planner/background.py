@@ -27,13 +27,13 @@ Wanted = Callable[[], bool]
 
 
 class Worker(Generic[Question]):
-    """Daemon thread that answers one question at a time; a new question replaces the previous one.
+    """Daemon thread that works on one question (a task) at a time; a new question replaces the previous one.
 
     Args:
-        work: function that answers; it is called with a question, and with a function that returns True while the
-            answer is still wanted.
-        failed: function that is called in the worker's thread if a question cannot be answered, with the question and
-            with the reason as a sentence.
+        work: function that works on a question. Its arguments are the question, and a function that returns True while
+            the result is still wanted.
+        failed: function that is called in this thread if `work` fails. Its arguments are the question and the reason,
+            as a sentence.
     """
 
     def __init__(self, work: Callable[[Question, Wanted], None], failed: Callable[[Question, str], None]) -> None:
@@ -45,9 +45,10 @@ class Worker(Generic[Question]):
         self._thread.start()
 
     def ask(self, question: Question | None) -> None:
-        """Replace the present question by `question`; None removes the present question.
+        """Replace the present question by `question`; None only ends the work on the present question.
 
-        A question is answered once, unless it is replaced before.
+        The thread works once on a question, unless it is replaced before. Asking the present question again has no
+        effect.
         """
         with self._changed:
             if question is None:
@@ -59,7 +60,7 @@ class Worker(Generic[Question]):
     def close(self) -> None:
         """Ask the thread to end, and wait for at most `PATIENCE_SECONDS`.
 
-        The thread ends when it checks next that its answer is still wanted; a compilation has no such check.
+        The thread ends when it checks next that its result is still wanted; this is not checked during compilation.
         """
         with self._changed:
             self._question, self._closing = None, True
@@ -85,14 +86,14 @@ class Worker(Generic[Question]):
 
 
 class UnwantedError(Exception):
-    """Raised during the computation of an answer that is no longer wanted."""
+    """Raised to end the computation of a result that is no longer wanted."""
 
 
 def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted) -> Iterator[dict[str, str]]:
-    """Yield the metrics off the grid as labelled sentences: first estimates from a small sample, then the values that
-    the command `evaluate` gives.
+    """Yield the metrics of a deployment at random poses off the grid, as sentences keyed by label.
 
-    Recorded poses need no sample, so they have no estimate.
+    Estimates from a small sample of poses come first, then the values that the command `evaluate` gives. If the scene
+    has recorded poses, only the latter are computed, for these poses.
 
     Args:
         problem: scene and objective.
@@ -118,8 +119,8 @@ def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted
 class Background:
     """Background work for the present plan: metrics that take longer are computed and shown one after the other.
 
-    The first result is an estimate of the metrics off the grid, the second the gain by one more tag at each candidate
-    place. The third are the metrics off the grid from the full sample.
+    First the metrics at random poses off the grid are estimated from a small sample. Then the gain by one more tag is
+    computed for each candidate place. Finally the metrics are computed from the full sample.
 
     Args:
         session: session with the plan.
@@ -159,7 +160,7 @@ class Background:
         self._worker.close()
 
     def show_additions(self, _: Any = None) -> None:
-        """Colour the surfaces by the gain by one more tag at each place if the user has chosen this; otherwise grey."""
+        """Colour the surfaces by the gain by one more tag at each place, or grey if the user has not chosen this."""
         gains = self.additions if self._panel.additions.value else None
         self._picture.show_additions(gains)
         self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))

@@ -25,10 +25,10 @@ CANDIDATE_BATCH = 64  # number of candidate places between two checks whether th
 
 
 class Values:
-    """Values and metrics of a deployment, bit-identical to the results of `Problem`.
+    """Values of the objective at the grid's positions, and metrics, of a deployment that changes.
 
-    Values are updated when tags move (`lmd.incremental.field`), and computed again when the number or sizes of tags
-    change.
+    When tags move, only the changes of values are computed (`lmd.incremental.field`), which is fast. All values are
+    computed again when the number or sizes of tags change. Results equal those of `Problem` bit for bit.
 
     Args:
         problem: scene and objective; the problem's number of landmarks does not matter.
@@ -65,9 +65,9 @@ class Values:
 
 
 class _FieldValues:
-    """Values of the objective at the positions of one evaluator.
+    """Values of the objective at the positions of an `Evaluator`.
 
-    When tags move, the objective's incremental evaluator (its field) updates the values.
+    When tags move, the objective's incremental evaluator (`lmd.incremental.field`) updates the values.
     """
 
     def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
@@ -95,9 +95,10 @@ class _FieldValues:
 
 @kernel
 def _add_up(units, relevance, value):  # type: ignore[no-untyped-def]
-    """Write the weighted mean of each row of `units` `(N, Q)`, converted to values in [0, 1], into `value` `(N,)`.
+    """Write the weighted mean of each row of `units` `(N, Q)` into `value` `(N,)`.
 
-    `units` are quantised values at Q positions; `relevance` `(Q,)` are the weights, with the sum 1.
+    `units` are values at Q positions, as integers: multiples of 1 / `PROBABILITY_ONE`. `relevance` `(Q,)` are the
+    weights of the positions, with the sum 1. Means are in [0, 1].
     """
     for i in range(len(units)):
         total = 0.0
@@ -121,14 +122,10 @@ def candidate_cells(problem: Problem) -> Cells:
 def additions(
     problem: Problem, deployment: Deployment, poses: Deployment, wanted: Callable[[], bool] = lambda: True
 ) -> FloatArray | None:
-    """Gain of the objective's mean value by one more tag at each of N poses.
+    """Increase (gain) of the objective's mean value by one more tag, for each of N poses of this tag.
 
     The mean is over positions, weighted by relevance. Unlike the fitness, it also distinguishes places where a new tag
-    lifts no position over the threshold.
-
-    A landmark is added where it is not visible, and its moves to each of the N places are tried
-    (`lmd.incremental.field`). The values after a move are exact, occlusion by the moved landmark included; no move is
-    carried out.
+    lifts no position over the threshold. Gains are exact, occlusion by the new tag included.
 
     Args:
         problem: scene and objective; gains are computed on its grid.

@@ -113,7 +113,7 @@ class PlannerPanel:
     def show_progress(self, progress: SearchProgress | None, running: bool) -> None:
         """Show the progress of a search, and the label of the button that starts or stops a search.
 
-        `progress` is None without a search, and before its first evaluation.
+        `progress` is None if there is no search, or if the search has evaluated nothing yet.
         """
         self.optimise.label = STOP if running else OPTIMISE
         for number in self._limits.values():
@@ -126,7 +126,7 @@ class PlannerPanel:
         self._progress.content = _paragraph("progress", text)
 
     def show_span(self, span: tuple[float, float]) -> None:
-        """Show in the legend the values `span` that the first and the last colour of positions represent."""
+        """Set the values `span` of the first and the last colour of positions, as shown in the legend."""
         self._span = span
         self.show_legend(self._most)
 

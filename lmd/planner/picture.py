@@ -81,7 +81,7 @@ class RoomPicture:
     def _behind(face: Surface) -> FloatArray:
         """Corners of a face, `(4, 3)`, metres, in counter-clockwise order as seen from its front.
 
-        They are moved slightly behind the face, so that tags on the face remain visible.
+        The corners are moved slightly behind the face, so that tags on the face remain visible.
         """
         (length, height), is_left = face.extent, np.cross(face.u, face.v) @ face.normal > 0.0
         ring = face.point(*np.array([[0.0, 0.0], [length, 0.0], [length, height], [0.0, height]]).T)
@@ -166,7 +166,7 @@ class RoomPicture:
         """Colour the N cells of the surfaces by `gains` `(N,)`, the gain by one more tag in each cell.
 
         The first colour of the colour map represents 0, the last colour the largest gain. Cells whose gain is NaN are
-        grey, and all cells if `gains` is None.
+        grey. If `gains` is None, all cells are grey.
         """
         if gains is None:
             self.cells.batched_colors = alike(UNKNOWN, len(self.candidates.poses))
@@ -213,9 +213,9 @@ class Captions:
         del self._shown[len(ids) :]
 
     def _show_id(self, k: int, wanted: tuple[str, tuple[float, ...], bool, bool]) -> None:
-        """Update the label with the index `k` to `wanted`: text, position, and True if selected and if visible.
+        """Update the label of tag k if it differs from `wanted`, because each update is sent to all browsers.
 
-        An unchanged label is left alone: there may be hundreds of labels, and each update is sent to all browsers.
+        `wanted` has the text, the position, True if the tag is selected, and True if the label is visible.
         """
         if k == len(self._ids):
             self._ids.append(self._scene.add_label(f"/ids/{k}", "", anchor="bottom-center", visible=False))

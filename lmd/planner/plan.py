@@ -30,7 +30,7 @@ class Plan:
 
     @classmethod
     def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
-        """Make the plan of a deployment; its tags that are also in `hung`, the tags already in place, are pinned."""
+        """Make the plan of a deployment; tags with the ids of the tags in `hung`, which hang already, are pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
         return cls(replace(deployment, labels=labels), pinned)

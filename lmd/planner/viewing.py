@@ -165,7 +165,7 @@ def span_of(values: FloatArray) -> tuple[float, float]:
 
 
 def mapped(name: str, shares: ArrayLike) -> Colours:
-    """Colours `(N, 3)` of the values `shares` `(N,)`, from 0 to 1, in matplotlib's colour map `name`."""
+    """Colours `(N, 3)` that matplotlib's colour map `name` gives to the numbers `shares` `(N,)`, in [0, 1]."""
     from matplotlib import colormaps
 
     return np.asarray(colormaps[name](np.asarray(shares), bytes=True))[:, :3]

@@ -67,18 +67,17 @@ def _duration(seconds: float) -> str:
 def save_comparison_figure(
     path: str | Path, runs: "Sequence[OptimiserRun]", axis: str, headline: Headline, title: str
 ) -> None:
-    """Write a PNG of two panels that compare optimisers; the horizontal axis is logarithmic and shows evaluations or
-    time.
+    """Write a PNG of two panels that compare optimisers against evaluations or time, on a logarithmic axis.
 
     The left panel shows the median over seeds of each optimiser's best fitness, with a band from its worst to its best
-    seed. The right panel shows the share of pairs (run, target) in which the run has reached the target (`attained`),
-    as in COCO and IOHprofiler.
+    seed. The right panel shows the share of pairs (run, target fitness) in which the run has reached the target, as in
+    COCO and IOHprofiler.
 
     Args:
         path: path of the PNG.
         runs: runs of all optimisers and seeds.
         axis: `evaluations` or `wall_time`.
-        headline: main metric, whose medians order the legend, the highest median first.
+        headline: main metric of a run; its medians order the legend, the highest median first.
         title: title of the figure.
     """
     from lmd.evaluation.comparison import attained, best_at, by_optimiser, curve_targets
@@ -116,7 +115,7 @@ def _draw_median(axes: Any, at: FloatArray, curves: FloatArray, name: str, numbe
 
 
 class Searched(NamedTuple):
-    """Finished job of a sweep, as `save_groups_figure` plots it."""
+    """Results of one finished job of a sweep, for `save_groups_figure`."""
 
     history: "Sequence[Record]"
     """Records of the job's search."""
@@ -215,8 +214,8 @@ def save_tradeoff_figure(path: str | Path, points: "pd.DataFrame", panels: Seque
     Args:
         path: path of the PNG.
         points: table with a row for each edge length `edge` (metres), number of landmarks `count` and `seed`; the
-            metrics of the panels are further columns.
-        panels: panels from left to right; their metrics are shares.
+            metrics of the panels are further columns, fractions from 0 to 1.
+        panels: panels from left to right.
         title: title of the figure.
     """
     figure, drawn = new_panels((5.5 * len(panels), 4.5), title, 1, len(panels))
@@ -237,14 +236,14 @@ def save_tradeoff_figure(path: str | Path, points: "pd.DataFrame", panels: Seque
 
 
 def save_heat_map(path: str | Path, tables: "Mapping[str, pd.DataFrame]", title: str, label: str) -> None:
-    """Write a PNG of heat maps side by side, one for each table; every cell shows its value as a number.
+    """Write a PNG of heat maps side by side, one for each table; every cell shows its value in per cent.
 
     Args:
         path: path of the PNG.
-        tables: shares (fractions; NaN for a cell without a run), keyed by the heading of their panel. Index and columns
-            have names, and are equal in all tables.
+        tables: tables of fractions, keyed by the heading of their panel; NaN for a cell without a run. Index and
+            columns have names, and are equal in all tables.
         title: title of the figure.
-        label: label of the shares.
+        label: label of the colour bar.
     """
     rows, columns = next(iter(tables.values())).shape
     size = (1.6 + 1.0 * max(columns, 3) * len(tables), 1.8 + 0.8 * max(rows, 3))
@@ -297,11 +296,12 @@ def _written(value: object) -> str:
 
 
 def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels with three panels about two shares of views.
+    """Write a PNG of 1500 x 500 pixels: sensitivity of two shares of views to assumptions and to lost landmarks.
 
-    These are the share of localised views and the share of views with enough covered landmarks. The first panel shows
-    both shares if the assumptions have other values. The second panel shows the shares if covered landmarks are missed
-    at random. The third panel shows the losses of both shares if landmarks are lost.
+    The shares are those of the localised views and of the views with enough covered landmarks. The first panel plots
+    both shares against factors on the assumptions. The second panel plots them against the fraction of covered
+    landmarks that are missed at random. The third panel shows the losses of both shares if one landmark is lost, for
+    each landmark, and if the worst pair is lost.
     """
     from lmd.evaluation.sensitivity import SHARE_COLUMNS
 

@@ -65,8 +65,9 @@ def spacing_of(room: Space, positions: FloatArray) -> float:
 
 
 def ball_scale(room: Space, positions: FloatArray) -> float:
-    """Factor for the diameter of the balls that are drawn at positions: 1, or less than 1 if the positions are closer
-    together than in the paper.
+    """Factor for the diameter of the balls that are drawn at positions, at most 1.
+
+    It is less than 1 if the positions are closer together, relative to the room's diagonal, than in the paper.
     """
     return min(1.0, spacing_of(room, positions) / float(np.linalg.norm(size_of(room))) / 0.046)
 
@@ -209,9 +210,9 @@ def wrapped(title: str, inches: float) -> str:
 
 
 def new_panels(inches: tuple[float, float], title: str | None, rows: int, columns: int, **shared: Any) -> Any:
-    """Make a figure like `new_figure`, with panels in rows and columns.
+    """Make a figure with panels in rows and columns; return the figure and the panels, `(rows, columns)`.
 
-    Return the figure and its panels, `(rows, columns)`.
+    `inches` and `title` are as in `new_figure`. `shared` are further arguments of matplotlib's `subplots`.
     """
     figure = new_figure(inches, title)
     return figure, figure.subplots(rows, columns, squeeze=False, **shared)

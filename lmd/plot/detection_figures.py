@@ -29,8 +29,8 @@ LEGEND = (
 def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd.DataFrame, title: str) -> None:
     """Write a PNG with two panels for each deployment, which compare predictions with detections.
 
-    The upper panel shows the predicted and the detected share of frames with at least n tags, P(>= n). The lower panel
-    shows the predicted and the detected share of tags against the pitch, pixels per module.
+    The upper panel shows, against n, the predicted and the detected share of frames with at least n tags. The lower
+    panel shows, against the pitch (pixels per module), the predicted and the detected share of tags.
 
     Args:
         path: path of the PNG.

@@ -88,8 +88,8 @@ def save_accuracy_figure(
     """Write a PNG with a panel for each deployment: the room from above, with landmarks and predicted errors.
 
     The colour of a place is the median predicted error of the position. The median is taken over all orientations and
-    heights at the place. A recording is drawn as its path, with a colour for each step of `TOLERANCES`. All panels have
-    one colour scale.
+    heights at the place. All panels have one colour scale. A recording is drawn as its path; the colour scale then has
+    steps at `lmd.evaluation.accuracy.TOLERANCES`.
 
     Args:
         path: path of the PNG.
@@ -284,7 +284,9 @@ def save_localised_figure(path: str | Path, result: "Localisation", room: Space 
 
 
 def _ways(result: "Localisation") -> list[tuple[str, str, FloatArray, FloatArray]]:
-    """Paths to draw, if they exist: that of the poses from single images, and that of the smoothed poses of a drive.
+    """Paths of the camera that are drawn: the poses from single images, and the smoothed poses of a drive.
+
+    A path that the localisation lacks is omitted.
 
     Returns:
         name, colour, poses and covariances of each path.
@@ -294,7 +296,7 @@ def _ways(result: "Localisation") -> list[tuple[str, str, FloatArray, FloatArray
 
 
 def _draw_way(axes: Any, result: "Localisation", room: Space | None) -> None:
-    """Draw the tags, the path of the camera with uncertainty ellipses, and the tags that have changed."""
+    """Draw the tags, the paths of the camera with uncertainty ellipses, and the tags that have moved or are new."""
     from lmd.adjust.gauge import in_world
 
     if room is not None:

@@ -111,10 +111,10 @@ def save_uncertainty_figure(
 ) -> None:
     """Write a PNG of three panels about the uncertainty of the pose from single images.
 
-    The first panel shows the room from above. Each cell of the floor has the share of views with an unambiguous pose,
-    and the heading of the camera for which this share is least. The second panel shows, also from above, the standard
-    deviation of the position per axis: its median over the views with an unambiguous pose. The third panel plots this
-    deviation against the mean distance of the tags, with the fitted law.
+    The first panel shows the room from above, divided into cells. The colour of a cell is the share of views with an
+    unambiguous pose, and an arrow shows the heading of the camera for which this share is least. The second panel shows
+    the median standard deviation of the position per axis in each cell, over the views with an unambiguous pose. The
+    third panel plots this standard deviation against the mean distance of the tags, with the fitted law.
 
     Args:
         path: path of the PNG.
@@ -142,11 +142,11 @@ def save_uncertainty_figure(
 
 
 def _cells(places: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Divide the floor into nearly square cells.
+    """Divide the floor into nearly square cells, and find the cell of each of V places `(V, 2)`, metres.
 
     Returns:
-        bounds of the cells along x; bounds along y; index of the cell of each of the `places` `(V, 2)`, `(V,)`. The
-        index increases along x first.
+        coordinates x of the lines between columns of cells, coordinates y of the lines between rows, and the index of
+        the cell of each place, `(V,)`. Cells are numbered row by row, along x first.
     """
     low, high = places.min(axis=0), np.maximum(places.max(axis=0), places.min(axis=0) + 1e-3)
     counts = np.maximum(np.rint(CELLS * (high - low) / (high - low).max()).astype(int), 1)
@@ -156,8 +156,10 @@ def _cells(places: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
 
 
 def _draw_shares(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntArray) -> None:
-    """Draw the share of views with an unambiguous pose in each cell, and an arrow in the direction of the heading for
-    which this share is least.
+    """Draw the share of views with an unambiguous pose in each cell of the floor.
+
+    An arrow in the cell shows the heading of the camera for which this share is least. `x`, `y` and `cell` are the
+    results of `_cells`.
     """
     columns, rows = len(x) - 1, len(y) - 1
     share = _shares(cell, views.one, columns * rows)
@@ -185,7 +187,10 @@ def _shares(cell: IntArray, hit: Any, count: int) -> FloatArray:
 
 
 def _draw_errors(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntArray) -> None:
-    """Draw the median standard deviation of the position in each cell, for the views with an unambiguous pose."""
+    """Draw the median standard deviation of the position in each cell of the floor, for unambiguous poses.
+
+    `x`, `y` and `cell` are the results of `_cells`.
+    """
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
 

@@ -56,7 +56,10 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
 def _draw_in_space(
     problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
 ) -> tuple[Any, Any]:
-    """Draw two pictures of the room in perspective; return the figure and its colour bar."""
+    """Draw two pictures of the room in perspective; return the figure and the colour bar of the first picture.
+
+    The first picture shows `values` at the positions, the second shows the mask `good` of the qualified positions.
+    """
     from matplotlib.figure import Figure
 
     room, positions = problem.scene.room, problem.places
@@ -75,7 +78,10 @@ def _draw_in_space(
 def _draw_from_above(
     problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
 ) -> tuple[Any, Any]:
-    """Draw two pictures of the room from above; return the figure and its colour bar."""
+    """Draw two pictures of the room from above; return the figure and the colour bar of the first picture.
+
+    The first picture shows `values` at the positions, the second shows the mask `good` of the qualified positions.
+    """
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Rectangle
 
@@ -186,7 +192,7 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: G
 
 
 def _arrows(groups: Iterable[common.Group]) -> list[Any]:
-    """Legend entries of the groups of landmarks; groups with equal entries share one."""
+    """Legend entries of the groups of landmarks; groups with equal labels have one entry in common."""
     from matplotlib.lines import Line2D
 
     entries = {group.label: group.colour for group in groups}

@@ -45,9 +45,9 @@ class Canvas:
         self.cv2: Any = optional("cv2", "detection")
 
     def outline(self, polygon: FloatArray) -> FloatArray:
-        """Image outline of the part of a convex polygon that is beyond the near plane, pixels, `(m, 2)`.
+        """Outline, in the image, of the part of a convex polygon that is at least `NEAR_PLANE` before the camera.
 
-        `polygon` `(M, 3)` has the vertices in the camera frame, metres.
+        `polygon` `(M, 3)` has the vertices in the camera frame, metres. The result `(m, 2)` is in pixels.
         """
         image = clipped(polygon) @ self.matrix.T
         return np.asarray(image[:, :2] / image[:, 2:])
@@ -232,9 +232,9 @@ MOST_REPEATS = 3
 
 @lru_cache(maxsize=2)
 def covering(amplitude: float, seed: int, length: float) -> Float32Array:
-    """Offsets of grey levels, `(T, T)`, for a square: a random `pattern` that is repeated until it covers the square.
+    """Random pattern for a square, `(T, T)` texels: offsets that are added to its grey levels.
 
-    There are at most `MOST_REPEATS` repetitions along an edge.
+    The square is covered by copies of a `pattern`, at most `MOST_REPEATS` along an edge.
 
     Args:
         amplitude: standard deviation, grey levels.

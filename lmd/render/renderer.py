@@ -96,7 +96,8 @@ class Renderer:
         Args:
             pose: pose of the camera, camera to world, in the middle of the exposure, `(4, 4)`.
             rng: random generator for the noise, and for the direction of the motion.
-            motion: body twist (w, v) times the exposure time, rad and metres, `(6,)`; None for `Imaging.motion_blur`.
+            motion: body twist (w, v) of the camera times the exposure time, rad and metres, `(6,)`; None for a rotation
+                in a random direction that blurs the image centre by `Imaging.motion_blur` pixels.
 
         Returns:
             grey levels of the image, 8 bits, `(h, w)`.
@@ -107,17 +108,18 @@ class Renderer:
         return self.imaging.develop(_assembled(faces_of(self.camera), lights), rng)
 
     def corners(self, pose: FloatArray) -> FloatArray:
-        """Exact image points of the tags' corners, seen from camera poses `(..., 4, 4)`, `(..., K, 4, 2)`.
+        """Exact image points of the corners of the K tags, for each of the camera poses, `(..., K, 4, 2)`.
 
-        They are in pixels from the outer corner of the image's top left pixel. Tags outside the image, facing away or
-        occluded are included. Points are NaN behind the camera, and beyond the lens's `widest_angle`.
+        Points are in pixels from the outer corner of the image's top left pixel. Tags outside the image, facing away or
+        occluded are included. Points are NaN behind the camera, and beyond the lens's `widest_angle`. `pose`
+        `(..., 4, 4)` is camera to world.
         """
         return self._images(pose, self.room.corners)
 
     def picture_corners(self, pose: FloatArray) -> FloatArray:
-        """Exact image points of the corners of the tags' whole pictures, in the form of `corners`, `(..., K, 4, 2)`.
+        """Exact image points of the corners of the tags' whole pictures, pixels, `(..., K, 4, 2)`.
 
-        In some families the picture is larger than the black square.
+        In some families the picture is larger than the black square. Argument and result are as in `corners`.
         """
         return self._images(pose, self.room.picture_corners)
 
@@ -215,10 +217,10 @@ class Renderer:
 
 
 def _from_afar(surfaces: Sequence[Surface], position: FloatArray) -> list[tuple[Surface, FloatArray]]:
-    """Parts of the surfaces that face a position `(3,)`, the farthest part first.
+    """Trapezoids of the surfaces that face a position `(3,)`, the farthest trapezoid first.
 
     Returns:
-        for each part, the surface and the corners of the part in the surface's coordinates (a, b), metres, `(4, 2)`.
+        for each trapezoid, its surface, and its corners in the surface's coordinates (a, b), metres, `(4, 2)`.
     """
     seen = [(s, part) for s in surfaces if (position - s.origin) @ s.normal > 0.0 for part in s.parts]
     return sorted(seen, key=lambda one: -float(np.linalg.norm(_middle(*one) - position)))

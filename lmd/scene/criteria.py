@@ -11,16 +11,16 @@ These functions are scalar, with as few branches as possible. Kernels call only 
 
 A visibility model has two parts:
 
-- a `Criteria` with the thresholds that a user sets; its `covered` is the NumPy reference.
-- a `SightModel`, the *model of sight*: a named tuple of numbers, compiled for one camera. Its type is registered with
-  the functions below.
+- a `Criteria` with the thresholds that a user sets. The method `Criteria.covered` is the NumPy reference.
+- a `SightModel`, the *model of sight*: a named tuple of numbers, made for one camera. The type of this tuple is
+  registered with the functions of this module.
 
 Both parts must give equal results, bit for bit. A `Covering` has the NumPy reference only, without a model of sight.
 
-Few orientations need the exact test, as conservative bounds exclude the others. One method sorts the orientations by
-the height (z coordinate) of the optical axis. If an orientation covers a landmark at a depth of at least `low`, its
-optical axis is in a cone around the direction of the landmark, and so its height is in a band. The other method looks
-up the orientations in tables by the direction of the landmark; the tables depend only on the field of view (`in_view`).
+Few orientations need the exact test, because two fast methods exclude most of the others. The first method sorts the
+orientations by the z coordinate of the optical axis. The optical axis of an orientation that covers a landmark is in a
+cone around the direction of the landmark, so only a band of z coordinates is possible. The second method looks up the
+orientations in tables by the direction of the landmark. The tables depend only on the field of view (`in_view`).
 """
 
 import math
@@ -42,7 +42,7 @@ TOLERANCE = 1e-9
 
 
 class SightModel(Protocol):
-    """Interface of a compiled visibility model: a named tuple of numbers, compiled for one camera."""
+    """Interface of a model of sight: the numbers of a visibility model for one camera, read by compiled code."""
 
     @property
     def outer_cosine(self) -> float:
@@ -79,12 +79,12 @@ class SightModel(Protocol):
         """
 
     def unhidden(self) -> "SightModel":
-        """Model of sight in which no landmark occludes another."""
+        """Copy of this model in which no landmark hides another from the camera."""
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "SightModel":
-        """Model of sight for given landmarks; without occlusion, as from `unhidden`, if no landmark can hide another.
+        """Fastest model for given landmarks: `unhidden()` if no landmark can hide another, else this model itself.
 
-        The test is conservative: the result may be the model itself although no landmark is hidden.
+        The test is conservative: the result may be this model itself although no landmark is hidden.
 
         Args:
             low, high: corners of a box around all positions of the camera, `(3,)`, metres.
@@ -93,7 +93,7 @@ class SightModel(Protocol):
         """
 
     def shrunk(self, size: float) -> "SightModel":
-        """Model of sight in which the occluding body of each landmark is scaled by `size`."""
+        """Copy of this model in which each landmark hides others as if its size were multiplied by `size`."""
 
 
 class Criteria(Protocol):
@@ -108,7 +108,7 @@ class Criteria(Protocol):
         """Least distance between neighbouring landmarks at which neither can hide the other, metres."""
 
     def sight(self, camera: Camera) -> Any:
-        """Compile the criteria for a camera to a `SightModel`; None if the criteria have only the NumPy reference."""
+        """Make the `SightModel` of these criteria for `camera`; None if the criteria have only the method `covered`."""
 
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
@@ -156,11 +156,11 @@ def horizon_of(sight: SightModel) -> float:
 
 @overridable
 def sized(sight: Any, k: Integer) -> Any:
-    """Compiled model of landmark k.
+    """Return the model of sight for landmark k alone, given the model `sight` of all landmarks.
 
     A model for landmarks of several sizes stores arrays with one value per landmark; `sized` selects the values of
-    landmark k. A model for landmarks of one size is returned unchanged. All functions below except `in_view` and
-    `pixel_density` require a model of one landmark.
+    landmark k. A model for landmarks of one size is returned unchanged. The tests of a landmark in this module, such as
+    `from_position` and `in_image`, require the model of one landmark.
     """
     return sight
 
@@ -170,10 +170,11 @@ def from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> A
     """Bounds on the coverage of a landmark from a position, over all orientations of the camera.
 
     Args:
+        sight: model of sight of the landmark.
         offset: offset of the landmark from the camera, world frame, metres.
         normal: unit normal of the landmark.
-        slack: metres; `reached` and `low` also hold if the landmark is moved by up to this distance in its plane. It is
-            0 for a single landmark, and positive for a cell of a wall (`lmd.sight.poses`).
+        slack: distance, metres. `reached` and `low` also hold if the landmark is moved in its plane by up to this
+            distance. The slack is 0 for a single landmark, and positive for a cell of a wall (`lmd.sight.poses`).
 
     Returns:
         reached: False only if no orientation covers the landmark.
@@ -209,11 +210,11 @@ def in_image(sight: Any, offset: Vector, normal: Vector, low: float, slack: floa
     Args:
         offset: offset of the landmark from the camera, world frame, metres.
         normal: unit normal of the landmark.
-        low: result of `from_position`; if it is infinite, the function returns False.
-        slack: metres; the result is True if the orientation may cover the landmark after a move by up to this distance
-            in its plane.
+        low: result of `from_position`; if `low` is infinite, the function returns False.
+        slack: distance, metres. If positive, the result is True if the orientation may cover the landmark after the
+            landmark is moved in its plane by up to this distance.
         axis: optical axis, unit vector.
-        right: unit vector to the right in the image; axis x right points down in the image.
+        right: unit vector to the right in the image; the cross product of `axis` and `right` points down in the image.
     """
 
 
@@ -267,9 +268,10 @@ def hide_between(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: fl
 
 @inlined
 def covers(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axes: FloatArray, a: Integer) -> Any:
-    """Result of `in_image` for the orientation in column a of `axes` `(6, D)`.
+    """Result of `in_image` for column `a` of `axes` `(6, D)`, which has one column for each of D orientations.
 
-    Rows 0 to 2 of the column are the optical axis, rows 3 to 5 the direction to the right in the image.
+    Rows 0 to 2 are the optical axis, rows 3 to 5 the direction to the right in the image. The other arguments are those
+    of `in_image`.
     """
     axis, right = pair3(axes, a)
     return in_image(sight, offset, normal, low, slack, axis, right)
@@ -277,9 +279,9 @@ def covers(sight: Any, offset: Vector, normal: Vector, low: float, slack: float,
 
 @overridable
 def frame_of(sight: Any, normal: Vector) -> Any:
-    """Compute the argument `frame` of `covers_one` in advance, for a landmark with the unit normal `normal`.
+    """Compute `frame`, an argument of `covers_one` that depends only on the unit normal `normal` of a landmark.
 
-    By default `frame` is the normal.
+    It is computed once, and used for many orientations. By default `frame` is the normal itself.
     """
     return normal
 
@@ -301,11 +303,15 @@ def covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any
 
 @overridable
 def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> Any:
-    """Image area per solid angle in the direction of a landmark, divided by the cube of the distance of the landmark.
+    """Image area per solid angle in the direction of a landmark, divided by the cube of the landmark's distance.
 
-    The orientation in column a of `axes` `(6, D)` must cover the landmark. `offset` is the offset of the landmark from
-    the camera, metres. The unit is squared focal lengths per steradian and cubic metre. For a pinhole the result is 1 /
-    depth^3.
+    The information that a landmark's image gives about the camera's pose grows with this density. For a pinhole camera
+    the result is 1 / depth^3. The unit is squared focal lengths per steradian and cubic metre.
+
+    Args:
+        offset: offset of the landmark from the camera, metres.
+        axes: orientations, one per column, `(6, D)`, as in `covers`.
+        a: column of an orientation that covers the landmark.
     """
     depth = dot3(column3(axes, a), offset)
     return 1.0 / (depth * depth * depth)
@@ -315,14 +321,14 @@ def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> A
 def covering(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """Test which orientations of a bit mask cover a landmark, among 64 consecutive orientations (one word of the mask).
+    """Test which of 64 consecutive orientations cover a landmark; bit masks stand for the orientations.
 
-    If any bit of `left` is set in a half of the word, all orientations of this half are tested. For a cheap test this
-    is faster than iterating over the set bits.
+    If a bit of `left` is set, the function tests all orientations in the bit's half of the integer. For a cheap test
+    this is faster than iterating over the set bits.
 
     Args:
-        left: bits of the orientations to test.
-        w: index of the word; bit i stands for column 64 w + i of `axes`.
+        left: bits of the orientations to test, 64-bit integer.
+        w: index of this integer in the mask of all orientations; bit i stands for column 64 w + i of `axes`.
         offset: offset of the landmark from the camera, world frame, metres.
         frame: result of `frame_of`.
         depths: results `low`, `high` and `sure` of `from_position`.
@@ -348,7 +354,7 @@ def depth_first(
 ) -> Any:
     """Result of `covering`, computed faster for models with an expensive test.
 
-    The function first compares the depth of the landmark with its bounds, which decides most orientations.
+    The function first compares the landmark's depth with the bounds in `depths`, which decides most orientations.
     """
     within, shallow, (low, high, sure) = ZERO, ZERO, depths
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):

@@ -116,13 +116,13 @@ class Deployment:
     def with_surfaces(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
         """Copy of the deployment with `surfaces` set to the surfaces of `room` that carry the landmarks.
 
-        If a tag belongs to a surface (`Space.surface_near`) but has a corner behind it, the wall would hide the tag.
-        Such a tag is moved along the normal until the tag touches the surface; `places` keeps the measured position.
+        A tag that belongs to a surface (`Space.surface_near`) may have a corner behind this surface, which would hide
+        the tag. Such a tag is moved along the surface's normal to the surface; `places` keeps the measured position.
 
         Args:
             room: room of the landmarks.
             anywhere: True if landmarks may lie outside the room.
-            papers: edge lengths of the papers of the tags, metres, one for all or `(K,)`; 0 for points.
+            papers: edge lengths of the square papers that carry the tags, metres, one for all or `(K,)`; 0 for points.
 
         Raises:
             InputError: a landmark lies outside the room and belongs to none of the room's surfaces.
@@ -187,14 +187,15 @@ class Deployment:
     def belonging(self, room: Space) -> IntArray:
         """Index of each landmark's surface, `(K,)`; -1 if no surface is near.
 
-        This is the surface that carries the landmark (`surfaces`), else the surface nearby (`Space.surface_near`).
+        A landmark's surface is its value in `surfaces`. If this value is -1, the surface near the landmark is used
+        (`Space.surface_near`).
         """
         if (self.surfaces >= 0).all():
             return self.surfaces
         return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
 
     def before(self, room: Space) -> "Deployment":
-        """Copy of the deployment in which every landmark has a surface, from `belonging` or else the nearest."""
+        """Copy of the deployment with a surface for every landmark: its own (`belonging`), else the nearest surface."""
         own = self.belonging(room)
         if own is self.surfaces:
             return self

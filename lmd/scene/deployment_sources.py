@@ -19,7 +19,7 @@ POINT = Tag()
 
 
 class DeploymentSource(Protocol):
-    """Source of deployments: starts of optimisers, or deployments that `evaluate` scores."""
+    """Interface: a source draws a deployment, from which an optimiser starts or which `evaluate` assesses."""
 
     @property
     def varies(self) -> bool:
@@ -29,7 +29,7 @@ class DeploymentSource(Protocol):
         """Draw a deployment in `room`; each landmark stores the index of its surface.
 
         Args:
-            room: room whose surfaces are already reduced to the places that centres of landmarks may have.
+            room: room whose surfaces contain only the allowed positions of the landmarks' centres.
             rng: random generator.
             tag: tag of the landmarks. If it has several sizes, they are assigned in the order of the landmarks, see
                 `Tag.edges_in_order`.
@@ -72,8 +72,9 @@ class UniformDeployment(Checked):
 
     Args:
         count: number of landmarks K.
-        layout: `per_wall` for equal numbers on all walls, and the remainder on the largest walls, as in the paper (15
-            on each wall). `by_area` for numbers in proportion to the areas of walls.
+        layout: `per_wall` for equal numbers on all walls, as in the paper (15 on each wall); if K is not divisible by
+            the number of walls, the largest walls get one landmark more. `by_area` for numbers in proportion to the
+            areas of the walls.
     """
 
     count: LandmarkCount
@@ -126,7 +127,7 @@ class GivenDeployment:
 
 
 def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray, tag: Tag) -> Deployment:
-    """Make landmarks flush with their surfaces.
+    """Deployment of landmarks at given positions, each flush with its surface.
 
     Args:
         surfaces: surfaces of the room.

@@ -3,8 +3,8 @@
 A footprint must lie wholly on its surface, and must not overlap another footprint. Tags hang upright
 (`lmd.geometry.squares.upright`), so the edges of a footprint are parallel to u and v of its surface. Two footprints
 with the edge lengths e and f do not overlap if and only if their centres are at least (e + f) / 2 apart along u or v.
-Landmarks that are points have no footprints. Tags that are tilted or on no surface, which only files contain, are not
-checked.
+Landmarks that are points have no footprints. A file may contain tags that are tilted or on no surface; these tags are
+not checked.
 """
 
 from dataclasses import dataclass, replace
@@ -27,13 +27,14 @@ COLUMN = "fixed"  # column in a file of landmarks: 1 for fixed landmarks, 0 for 
 
 
 def beside(fixed: Deployment, others: Deployment) -> Deployment:
-    """Concatenate fixed and other landmarks, keep ids and columns, and add the column `COLUMN`.
+    """Deployment of the fixed landmarks, followed by the other landmarks.
 
-    Other landmarks without labels get the smallest unused ids. `others` may also contain fixed landmarks, recognised by
-    their ids; the function drops these from `others`.
+    Ids and further columns are kept. The column `COLUMN` is added; it has 1 for fixed landmarks and 0 for others. Other
+    landmarks without labels get the smallest unused ids. If `others` also contains fixed landmarks, recognised by their
+    ids, they are left out of `others`.
 
     Args:
-        fixed: F landmarks with known surfaces.
+        fixed: F landmarks with known surfaces; an optimiser does not move them.
         others: N landmarks with known surfaces.
 
     Raises:
@@ -124,12 +125,12 @@ class Footprints:
         return self._others[paper]
 
     def pieces_of(self, papers: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Allowed centres of footprints with S different edge lengths `papers` `(S,)`, metres, as trapezoids.
+        """Allowed centres of footprints with each of the S edge lengths `papers` `(S,)`, metres.
 
         Returns:
-            pieces: trapezoids, `(T, 6)`, see `lmd.space.allowed`.
-            first: `(S, W + 1)`; rows `first[c, w]` to `first[c, w + 1] - 1` of `pieces` are the trapezoids for edge
-                length c on surface w.
+            pieces: trapezoids that contain the allowed centres, `(T, 6)`, see `lmd.space.allowed`.
+            first: `(S, W + 1)` for W surfaces; rows `first[c, w]` to `first[c, w + 1] - 1` of `pieces` are the
+                trapezoids for edge length c on surface w.
         """
         sizes = [self.surfaces_of(paper) for paper in papers.tolist()]
         before = np.cumsum([0, *(len(own.pieces) for own in sizes[:-1])])
@@ -145,9 +146,10 @@ class Footprints:
         return self.tag.paper_share * deployment.edges_of(self.tag)
 
     def capacity(self, paper: float) -> float:
-        """Upper bound on the number of footprints with the edge length `paper`, metres; infinite for 0.
+        """Upper bound on the number of footprints that the surfaces hold; infinite if `paper` is 0.
 
-        The bound is the number that a grid on each surface would hold.
+        `paper` is the edge length of the footprints, metres. The bound is the number of footprints in a dense grid on
+        each surface.
         """
         if not paper:
             return np.inf
@@ -180,15 +182,15 @@ class Footprints:
         return hung
 
     def draw(self, source: DeploymentSource, rng: np.random.Generator, fixed: Deployment | None = None) -> Deployment:
-        """Draw a deployment with valid footprints; footprints of a random deployment are pushed apart.
+        """Draw a deployment with valid footprints; footprints that may overlap are pushed apart (`pushed`).
 
-        Deployments from a source with `ExistingDeployment.free` are not checked.
+        Footprints may overlap if the draw is random, has tags of several sizes, or has fixed landmarks. Landmarks from
+        a file are never pushed, only checked. If the source has `ExistingDeployment.free`, nothing is checked.
 
         Args:
             source: source of the deployment.
             rng: random generator.
-            fixed: existing landmarks from `checked_fixed`, which precede the drawn landmarks in the result. Drawn
-                landmarks are pushed away from the fixed landmarks, except for landmarks from a file.
+            fixed: fixed landmarks from `checked_fixed`, which come first in the result and are not moved.
 
         Raises:
             InputError: the source fails, a footprint overlaps another or is not wholly on its surface, or there is no
@@ -274,11 +276,11 @@ class Footprints:
         size: float = 1.0,
         fixed: int = 0,
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
-        """Push the footprints of B deployments apart: first the fixed ones, then the largest first.
+        """Push the footprints of B deployments apart, until none overlaps another or leaves the allowed region.
 
-        A valid footprint is not moved. A footprint that overlaps an earlier footprint, or extends beyond the allowed
-        region, is moved to the nearest free place on its surface, or else on the next surface with a free place. The
-        result is deterministic, so a search may store the positions from before the push.
+        The fixed footprints stay. The others are placed one after another, the largest first. A footprint that overlaps
+        an earlier footprint, or extends beyond the allowed region, is moved to the nearest free place on its surface,
+        or else on the next surface with a free place. The result is deterministic, so a search need not store it.
 
         Landmarks that are points are moved to the nearest allowed place.
 

@@ -128,11 +128,14 @@ UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
 
 @dataclass(frozen=True)
 class Surveyed:
-    """Measurements of K landmarks; the measurement of a landmark that has been moved since is ignored.
+    """Measured positions and up vectors of K landmarks.
+
+    A landmark's measurement is ignored if the landmark was moved, so that its present position is not in `positions`.
 
     Args:
-        positions: corrected positions, on or in front of the surfaces, world frame, metres, `(K, 3)`.
-        places: measured positions, such as slightly behind a wall, world frame, metres, `(K, 3)`.
+        positions: positions on or in front of the surfaces, world frame, metres, `(K, 3)`. They equal `places`, except
+            for landmarks measured behind a surface, which are moved to the surface.
+        places: measured positions, world frame, metres, `(K, 3)`.
         ups: unit vectors from the centres of the tags to their upper edges, world frame, `(K, 3)`.
     """
 

@@ -31,7 +31,7 @@ Roll = float | Sequence[Sequence[float]]
 
 
 class Orientations(NamedTuple):
-    """D distinct orientations of the camera, ordered by the z component of the optical axis."""
+    """The D distinct orientations of a PDF, and their probabilities, ordered by the z component of the optical axis."""
 
     axes: FloatArray
     """Optical axis and direction to the right in the image, two unit vectors, world frame, `(D, 6)`.
@@ -58,8 +58,8 @@ class OrientationPdf:
             distribution.
         roll: roll about the optical axis, radians, one for all or `(A,)`; independent of yaw and pitch if `continuous`
             is given.
-        by_position: position-dependent probabilities, whose mean is `weight`; None if the probabilities do not depend
-            on the position.
+        by_position: function that returns the probability of each orientation at each position; `weight` is then the
+            mean of its results over the positions. None if the probabilities do not depend on the position.
 
     Raises:
         InputError: shapes differ, an angle or weight is not finite or out of range, or the sum of the weights is not 1.
@@ -99,7 +99,8 @@ class OrientationPdf:
     def by_axis(self) -> Orientations:
         """Orientations of the PDF; those with equal optical axes are merged.
 
-        Axes are equal at each pole and for the yaws pi and -pi, so `grid_325` has 266 distinct axes.
+        Axes are equal at each pole and for the yaws pi and -pi. For example, the 325 orientations of `grid_with_ends`
+        have 266 distinct axes.
         """
         return self._distinct(3)
 
@@ -141,10 +142,10 @@ class OrientationPdf:
     def stratified(self, divisions: int, rng: np.random.Generator) -> "OrientationPdf":
         """PDF of equally weighted, stratified draws from `continuous`; the PDF itself if `continuous` is None.
 
-        The unit square of `continuous` is divided into 2 `divisions` x `divisions` cells of equal probability, and one
-        orientation is drawn in each cell. Estimates are unbiased, as for independent draws. The error of P_n, the
+        Yaw and pitch are divided into 2 `divisions` x `divisions` cells of equal probability, and one orientation is
+        drawn in each cell. Estimates are unbiased, as for independent draws, but more accurate: the error of P_n, the
         probability that at least n landmarks are covered, falls as divisions^-1.5 instead of divisions^-1. If only the
-        yaw varies, it is drawn in 2 divisions^1.5 strata, which gives an error of this order.
+        yaw varies, there are about 2 divisions^1.5 cells, which gives an error of equal order.
         """
         if self.continuous is None:
             return self
@@ -159,14 +160,17 @@ class OrientationPdf:
         return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=self._draw_roll(len(yaw), rng))
 
     def at(self, positions: FloatArray) -> FloatArray:
-        """Probability of each orientation at each of the positions `(Q, 3)`, metres, `(Q, A)`.
+        """Probability of each orientation at each position, `(Q, A)`: a row for each of the Q positions.
 
-        The result is `(1, A)` if the probabilities do not depend on the position.
+        The result has a single row, `(1, A)`, if the probabilities do not depend on the position. `positions` has the
+        shape `(Q, 3)`, metres.
         """
         return self.weight[None] if self.by_position is None else self.by_position(positions)
 
     def draw_at(self, positions: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Draw one orientation at each of the positions `(Q, 3)`, metres: yaw, pitch and roll, radians, `(Q,)` each.
+        """Draw one orientation at each of Q positions; return yaw, pitch and roll, radians, `(Q,)` each.
+
+        `positions` has the shape `(Q, 3)`, metres.
 
         Without `by_position`, the orientations are drawn as in `draw`.
         """
@@ -199,11 +203,13 @@ class OrientationPdf:
 
 
 def divisions_of(value: int, pitches: int | None = None) -> int:
-    """Return `value` as `divisions`, the number of pitches of a grid, which is half the number of yaws.
+    """Check the setting `divisions` of a grid of orientations, and return it as an integer.
+
+    The grid has 2 `divisions` yaws, and `divisions` pitches unless `pitches` is given.
 
     Args:
-        value: value from a user.
-        pitches: number of pitches, if this number differs from `divisions`.
+        value: value of the setting, given by a user.
+        pitches: number of pitches of the grid; None for `divisions`.
 
     Raises:
         InputError: the value is not a positive whole number, or the orientations do not fit into memory.
@@ -276,9 +282,11 @@ def _open_yaws(divisions: int) -> FloatArray:
 def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     """PDF uniform over yaw and pitch, on a grid with both ends of the range of each angle.
 
-    With 12 divisions this is `grid_325`, which the paper's tables use: all printed maxima are multiples of 1/325. The
-    PDF is uniform over the angles, not over the sphere: each pole has 25 orientations, and each direction with a yaw of
-    +-pi has two.
+    With 12 divisions the grid has 25 x 13 = 325 orientations (`grid_325`). The paper's tables must have used this grid,
+    as all maxima printed there are multiples of 1/325.
+
+    The PDF is uniform over the angles, not over the sphere: each pole has 25 orientations, and each direction with a
+    yaw of +-pi has two.
 
     Args:
         divisions: number of steps in pitch, each pi / divisions; half the number of steps in yaw.
@@ -292,9 +300,10 @@ def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
 
 def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
-    """PDF uniform over yaw and pitch, on the grid of the paper's text (`grid_288` for 12 divisions).
+    """PDF uniform over yaw and pitch, on the grid that the paper's text describes.
 
-    Yaws are -pi, ..., pi - step; pitches are the middles of the steps.
+    The yaws are -pi, ..., pi - step, and the pitches are the middles of the steps. With 12 divisions the grid has 24 x
+    12 = 288 orientations (`grid_288`).
 
     Args:
         divisions: number of steps in pitch, each pi / divisions; half the number of steps in yaw.

@@ -13,7 +13,7 @@ NEARBY_EDGES = 3.0
 
 @inner
 def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
-    """True if footprint k, centred at (a, b) on surface s, overlaps none of the footprints 0 to k - 1."""
+    """True if footprint k, centred at (a, b) on surface s, overlaps none of the footprints 0 to k - 1, see `push`."""
     free = True
     for j in range(k):
         least = (edge[j] + edge[k]) / 2.0 * (1.0 - TOUCHING)
@@ -23,14 +23,10 @@ def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
 
 @inner
 def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-def]
-    """Find the interval around b along v in which footprint k does not fit, if its coordinate along u is a.
+    """Find an interval of blocked places for footprint k; return both ends, which are equal if (a, b) is free.
 
-    The footprint would overlap one of the footprints 0 to k - 1 at every place (a, q) on surface s with q inside the
-    interval. For safety against rounding, the interval is slightly shorter than the blocked one. `beside` `(2, K)` is
-    working memory.
-
-    Returns:
-        both ends of the interval; the interval is empty if the footprint fits at (a, b).
+    The places (a, q) on surface s are blocked for each q inside the interval, which contains b: there the footprint
+    would overlap one of the footprints 0 to k - 1. `beside` `(2, K)` is working memory.
     """
     low, high, count, grows = b, b, 0, True
     for j in range(k):
@@ -51,10 +47,9 @@ def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-
 def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, beside, found):  # type: ignore[no-untyped-def]
     """Find the free place for footprint k nearest to (a, b) on surface s, and write its coordinates into `found`.
 
-    Each coordinate of the nearest place is either unchanged or on a candidate line. Such a line is a border of a
-    trapezoid along u or v, or a line on which footprint k touches another footprint. Only footprints at most `within`,
-    metres, from (a, b) give candidate lines. Rows `start` to `stop - 1` of `pieces` are trapezoids of allowed centres.
-    `lines` and `beside` are working memory.
+    At the nearest place, footprint k touches another footprint or the border of the allowed centres, so only such
+    coordinates are tried. Footprints more than `within` metres from (a, b) give no such coordinates. Rows `start` to
+    `stop - 1` of `pieces` are trapezoids of allowed centres. `lines` and `beside` are working memory.
 
     Returns:
         True if there is a free place.

@@ -86,7 +86,9 @@ def _grid(poses: FloatArray, divisions: int) -> tuple[FloatArray, FloatArray, Fl
 
 
 def _spread(poses: FloatArray, orientations: FloatArray, solid_angle: FloatArray, width: float) -> csr_array:
-    """Kernels K_t(a): the weights that spread the orientation of record t over the grid's orientations a, `(T, A)`.
+    """Kernels K_t(a), `(T, A)`: the probability of each grid orientation a, given the orientation of record t.
+
+    K_t(a) falls with the angle between both orientations.
 
     Args:
         poses: pose matrix of each record, from the camera frame to the world, `(T, 4, 4)`.
@@ -128,7 +130,10 @@ class _Kernels:
         self._everywhere, self._bandwidth = everywhere, bandwidth
 
     def probabilities(self, positions: FloatArray) -> FloatArray:
-        """Probability w_a(p) of each orientation a at each position p of `positions` `(Q, 3)`, metres; `(Q, A)`."""
+        """Probability w_a(p) of each orientation a at each position p, `(Q, A)`.
+
+        `positions` has the Q positions p, `(Q, 3)`, metres.
+        """
         rows = max(CHUNK // self._records.n, 1)
         parts = [self._near(positions[start : start + rows]) for start in range(0, len(positions), rows)]
         found = np.concatenate(parts)
@@ -136,9 +141,10 @@ class _Kernels:
         return np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), self._everywhere)
 
     def _near(self, positions: FloatArray) -> FloatArray:
-        """Unnormalised probability of each orientation a at each position p of `positions` `(Q, 3)`, metres; `(Q, A)`.
+        """Unnormalised probability of each orientation a at each position p, `(Q, A)`.
 
-        This is sum_t tau_t G(p - x_t) K_t(a), with the Gaussian kernel G in position.
+        This is sum_t tau_t G(p - x_t) K_t(a), with the Gaussian kernel G in position. `positions` has the Q positions
+        p, `(Q, 3)`, metres.
         """
         pairs = cKDTree(positions).sparse_distance_matrix(
             self._records, CUT_AT * self._bandwidth, output_type="ndarray"
@@ -179,8 +185,8 @@ class RecordedPoses(Checked):
         trajectory: trajectory of the camera in the room.
         spacing: edge length, metres, of the cells into which space is divided: one number or one per axis. Each visited
             cell gives one position.
-        bandwidth: bandwidth of the kernel in position, metres.
-        direction_bandwidth: bandwidth of the kernel in direction, degrees.
+        bandwidth: bandwidth in position, metres, of the kernel that smooths the orientation PDF.
+        direction_bandwidth: bandwidth of this kernel in direction, degrees.
         divisions: the step of the orientation grid is 180 degrees / divisions.
         held_out: every `held_out`-th block is held out, at least 2; None to hold out none.
         block: length of a block, seconds.

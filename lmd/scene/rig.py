@@ -156,9 +156,9 @@ class Rig:
         return np.round(offsets, SAME_PLACE_DECIMALS) + 0.0, np.stack(turned)  # + 0.0 turns -0 into 0
 
     def stations(self, axes: FloatArray) -> "Iterator[Station]":
-        """Yield the stations of each camera (see `Station`) for given orientations of the body.
+        """Yield the distinct offsets of each camera from the body's origin, for given orientations of the body.
 
-        The stations are ordered by camera, then by offset.
+        A `Station` is one such offset together with its orientations. Stations are ordered by camera, then by offset.
 
         Args:
             axes: body's x axis and the direction to its right (-y), two unit vectors, world frame, `(A, 6)`.
@@ -176,7 +176,7 @@ def rig_of(camera: Camera | Rig) -> Rig | None:
 
 
 class Station(NamedTuple):
-    """Station of a rig's camera: an offset from the body's origin, and the orientations of the body that give it."""
+    """Offset of a rig's camera from the body's origin, and the orientations of the body that lead to this offset."""
 
     camera: Camera
     """Intrinsics of the camera."""

@@ -116,7 +116,7 @@ class Scene:
 
     @property
     def spacing(self) -> float:
-        """Distance between neighbouring landmarks from which on they neither hide nor overlap each other, metres."""
+        """Least distance between neighbouring landmarks at which they neither hide nor overlap each other, metres."""
         return max(self.visibility.spacing, self.footprints.edge)
 
     @property
@@ -157,11 +157,13 @@ class Scene:
         return self if self.crowd is None else replace(self, crowd=self.crowd.only(state))
 
     def stations(self, axes: FloatArray) -> Iterator[Station]:
-        """Yield the stations of the cameras (`lmd.scene.rig.Station`) for given orientations.
+        """Yield the distinct offsets of each camera from the body's origin, for given orientations of the body.
+
+        A `Station` is one such offset together with its orientations. A single camera has one station, with offset 0.
 
         Args:
-            axes: orientations of the single camera or of the rig's body, `(A, 6)`: optical axis or body's x axis, and
-                direction to the right, unit vectors, world frame.
+            axes: orientations of the single camera or of the rig's body, two unit vectors each, world frame, `(A, 6)`.
+                The first is the optical axis (for a body, the x axis), the second the direction to the right.
         """
         if self.rig is not None:
             yield from self.rig.stations(axes)
@@ -201,9 +203,10 @@ class Scene:
         return self.pdf.by_axis_and_roll if by_rig or self.visibility.needs_roll else self.pdf.by_axis
 
     def probability(self, positions: FloatArray) -> FloatArray:
-        """Probability of each of the D distinct `orientations` at each of the positions `(Q, 3)`, metres; `(Q, D)`.
+        """Probability of each distinct orientation at each position, `(Q, D)`: a row for each of the Q positions.
 
-        The result is `(1, D)` if the PDF does not depend on the position.
+        The columns are those of `orientations`. The result has a single row, `(1, D)`, if the PDF does not depend on
+        the position. `positions` has the shape `(Q, 3)`, metres.
         """
         axes, index_of, _ = self.orientations
         check_views(PROBABILITY_BYTES, 1 if self.pdf.by_position is None else len(positions), len(index_of))

@@ -121,12 +121,12 @@ class Tag(Checked):
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """Edge lengths of placed tags, metres; empty if landmarks are points."""
+        """Distinct edge lengths of the placed tags, metres; empty if landmarks are points."""
         return self.edges or (() if self.edge is None else (self.edge,))
 
     @property
     def limit(self) -> float | None:
-        """Limit on the total area of paper, square metres, or on the total cost.
+        """Limit on the placed tags: their total area of paper, square metres (`paper`), or their total cost (`budget`).
 
         None if the number of landmarks is given.
         """
@@ -181,7 +181,7 @@ class Tag(Checked):
 
     @property
     def module(self) -> float:
-        """Edge length of one module, metres."""
+        """Edge length of one module (a black or white square of the picture), metres."""
         return self.size / self.modules
 
     @property

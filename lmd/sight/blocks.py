@@ -12,7 +12,11 @@ SINGLE_ERROR = 2e-6
 
 
 def boxes_around(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounding boxes of blocks of `BLOCK` positions `(Q, 3)`, metres: centres and half sides, each `(3, Q / BLOCK)`."""
+    """Bounding boxes of blocks of `BLOCK` consecutive positions each.
+
+    `positions` `(Q, 3)` are ordered by `in_blocks`, metres. Return centres and half the side lengths, `(3, Q / BLOCK)`
+    each.
+    """
     blocks = positions.reshape(-1, BLOCK, 3)
     least, most = blocks.min(axis=1), blocks.max(axis=1)
     halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # rounded up

@@ -1,8 +1,8 @@
 """Crowd between a camera and a landmark, in compiled code: the obstacles of a room and the cylinders of a crowd state.
 
 A landmark is blocked if an obstacle of the room or a cylinder intersects the line of sight to a required point
-(`lmd.sight.obstacles`). The decisions repeat the operations of `lmd.space.crowd`. An evaluator has one crowd state at
-each of its positions. With several states, each camera position is therefore listed once for each state.
+(`lmd.sight.obstacles`). The operations are those of `lmd.space.crowd` in their order, so both give equal results. Each
+camera position has one crowd state; with several states, a position is listed once for each state.
 
 Most cylinders are excluded by a test of the line to the landmark's centre. The lines to the corners of a tag are
 nowhere farther from this line than half a diagonal of the tag.
@@ -85,8 +85,9 @@ def obstacles_of(scene: Scene, positions: FloatArray, states: IntArray | None) -
 def unhindered(
     scene: Scene, camera: Camera, position: FloatArray, landmarks: FloatArray, normals: FloatArray
 ) -> BoolArray:
-    """Mask `(K,)` of the landmarks that neither the room nor the scene's only crowd state blocks. Reference for the
-    compiled kernels.
+    """Mask `(K,)` of the landmarks that neither the room nor a crowd blocks from a camera position.
+
+    Compiled kernels must give equal results.
 
     Args:
         scene: the scene, with at most one crowd state.

@@ -44,7 +44,7 @@ HEIGHT_MARGIN = 1e-6
 
 @inner
 def cell_of(way: Vector) -> Any:
-    """Index of the cell that contains the direction of the vector `way`; arbitrary for a zero vector."""
+    """Index of the cell of directions that contains the direction of the vector `way`; arbitrary for a zero vector."""
     x, y, z = way
     scale = 1.0 / (abs(x) + abs(y) + abs(z))
     u, v = x * scale, y * scale
@@ -58,9 +58,9 @@ def cell_of(way: Vector) -> Any:
 
 @cache
 def _cells() -> tuple[FloatArray, FloatArray]:
-    """Unit directions of the cells' centres, `(3, SIDE * SIDE)`, and the angles rho, rad, `(SIDE * SIDE,)`.
+    """Unit vectors to the centres of the cells of directions, `(3, SIDE * SIDE)`, and their radii, `(SIDE * SIDE,)`.
 
-    rho is the greatest angle between the centre and a corner of a cell, plus a margin.
+    The radius rho of a cell is the greatest angle between its centre and a corner, plus a margin, rad.
     """
     edge = np.linspace(-1.0, 1.0, SIDE + 1)
     u, v = np.meshgrid(edge, edge, indexing="ij")
@@ -108,7 +108,9 @@ def _fill(
 
 
 def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Make the tables `CERTAIN` and `POSSIBLE`: a bit set of axes for each cell, `(EMPTY_ROW + 1, W)` each.
+    """Make the tables `CERTAIN` and `POSSIBLE` of axes that see a landmark, `(EMPTY_ROW + 1, W)` each.
+
+    Row i is the bit set, W words of 64 bits, of the axes for cell i of directions. Row `EMPTY_ROW` is the empty set.
 
     Args:
         sight: model of sight.
@@ -123,19 +125,19 @@ def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]
 def fill_tables(
     sight: SightModel, axes: FloatArray, shift: tuple[FloatArray, float, float], certain: IntArray, possible: IntArray
 ) -> None:
-    """Fill the tables `certain` and `possible` for cameras displaced from the centre of the sphere of directions.
+    """Fill the tables `certain` and `possible` for cameras that are displaced from a common centre.
 
-    Let u be the unit direction of a landmark from this centre, and s the displacement of the camera divided by the
-    distance of the landmark. The camera sees the landmark in the direction of u - s. If u lies in a cell, and `shifts`
-    approximates s, then u - s differs from the tabulated vector by at most 2 sin(rho / 2) + `error`. Both vectors have
-    at least the length 1 - `longest`.
+    Let u be the unit direction of a landmark from the centre. Let s be the displacement of a camera, divided by the
+    distance of the landmark from the centre. The camera sees the landmark in the direction of u - s. The tables contain
+    c - s' in place of u - s, with the centre c of the cell that contains u, and an approximation s' of s. Both vectors
+    differ by at most 2 sin(rho / 2) + `error`, and are at least 1 - `longest` long.
 
     Args:
         sight: model of sight.
         axes: optical axis and direction to the right in the image, unit vectors, `(6, 64 W)`, padded with zeros to
             whole words.
-        shift: tuple of three values: `shifts`, the approximation of s for each axis, `(3, 64 W)`; `longest`, an upper
-            bound on |s|; and `error`, an upper bound on the distance between s and `shifts`.
+        shift: tuple of three values: s' for each axis, `(3, 64 W)`; `longest`, an upper bound on |s|; and `error`, an
+            upper bound on |s - s'|.
         certain, possible: tables whose first `SIDE * SIDE` rows are filled, `(>= SIDE * SIDE, W)`.
     """
     (centres, rho), (shifts, longest, error) = _cells(), shift
@@ -149,10 +151,11 @@ def fill_tables(
 
 
 def height_index(heights: FloatArray) -> np.ndarray:
-    """Index of the first axis of each bin of height, `(HEIGHT_BINS + 2,)`.
+    """For each of `HEIGHT_BINS` equal ranges (bins) of heights, index of the first axis in the bin.
 
-    The bins divide the heights (z coordinates) from -1 to 1 equally. The first axis of a bin is the lowest axis whose
-    height is at least the bin's lower limit, less a margin.
+    The height of an axis is its z coordinate, from -1 to 1. The first axis is the lowest axis whose height is at least
+    the lower limit of the bin, less a margin. The result is `(HEIGHT_BINS + 2,)`; its last two entries are the index
+    for the height 1, and D.
 
     Args:
         heights: z coordinates of the axes in ascending order, `(D,)`.

@@ -29,7 +29,7 @@ COUNT_BYTES = 4  # memory of a view: two int16 counts, for the axis and for the 
 
 
 def quantised(probability: FloatArray) -> IntArray:
-    """Probabilities `(N, D)` as integers with the sum `PROBABILITY_ONE` in each row.
+    """Round each row of probabilities `(N, D)` to integers with the sum `PROBABILITY_ONE`, `(N, D)`.
 
     The rounding remainder of a row is added to its largest entry.
     """
@@ -47,7 +47,7 @@ def averaged(values: FloatArray | BoolArray, probability: FloatArray) -> FloatAr
 
 
 class Evaluator:
-    """Evaluates deployments at every position of a scene.
+    """Computes numbers of covered landmarks and the probability P_n of deployments at every position of a scene.
 
     Args:
         scene: room, cameras, orientations and criteria.
@@ -131,17 +131,20 @@ class Evaluator:
 
     @property
     def probability(self) -> FloatArray:
-        """Probability of each axis, `(1, 64 W)` if all positions have equal probabilities, else `(P, 64 W)`."""
+        """Probability of each axis: one row `(1, 64 W)` for all positions, or a row for each position, `(P, 64 W)`.
+
+        Axes are padded to 64 W, the bits of W words.
+        """
         return np.asarray(self.weights / PROBABILITY_ONE)
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, np.ndarray]:
-        """Tables of the axes that certainly and that possibly cover a landmark, see `lmd.sight.directions.tables`."""
+        """Sets of the axes that certainly and that possibly cover a landmark, see `lmd.sight.directions.tables`."""
         return tables(self.sight, self.axes)
 
     @cached_property
     def blocks(self) -> tuple[IntArray, IntArray]:
-        """Positions sorted into blocks of neighbours: the results `order` and `index_of` of `in_blocks`."""
+        """Order of the positions in blocks of neighbours: the results `order` and `index_of` of `in_blocks`."""
         return in_blocks(self.positions)
 
     def check_memory(self, each: float) -> None:
@@ -149,10 +152,11 @@ class Evaluator:
         check_views(each, len(self.positions), self.axes.shape[1])
 
     def by_place(self, weight: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
-        """Put the values of all S crowd states of a camera position into one row.
+        """Join the rows of a camera position for all S crowd states to one row.
 
-        Probabilities `weight`, `(1, D)` or `(P, D)`, become `(P / S, S D)`, divided by S. `values` `(P, D)` become
-        `(P / S, S D)`. Without a crowd, the arguments are returned unchanged.
+        The P rows are the camera positions, repeated for each crowd state. Probabilities `weight`, `(1, D)` or
+        `(P, D)`, become `(P / S, S D)`, divided by S. `values` `(P, D)` become `(P / S, S D)`. Without a crowd, the
+        arguments are returned unchanged.
         """
         if self.scene.crowd is None:
             return weight, *values

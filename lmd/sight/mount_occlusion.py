@@ -21,9 +21,9 @@ from lmd.sight.mounts import camera_at
 def hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
 ) -> Any:
-    """Set of the orientations in `left` at which landmark i hides landmark k from the camera on mount m.
+    """Find those of the orientations in `left` at which landmark i hides landmark k from the camera on mount m.
 
-    `left` and the result are bit sets of orientations of the body, 64 in a word; w is the index of this word. The other
+    `left` and the result are word w of bit sets of the body's orientations, with 64 orientations in a word. The other
     arguments are those of `hides_from`.
     """
     found = ZERO
@@ -38,8 +38,8 @@ def hidden_bits(
 def hides_from(group: Any, m: Integer, a: Integer, i: Integer, k: Integer, body: Vector, one: Any, other: Any) -> Any:
     """True if landmark i hides landmark k from the camera on mount m of a rig, for orientation a of its body.
 
-    `body` is the position of the body, metres. `one` is the position and the unit normal of landmark i, `other` of
-    landmark k.
+    `group` is the `MountGroup` that contains mount m, and `body` the position of the body, metres. `one` is the
+    position and the unit normal of landmark i, `other` of landmark k.
     """
     camera, (a_place, u), (b_place, v) = camera_at(group, m, a, body), one, other
     first, second = minus3(a_place, camera), minus3(b_place, camera)
@@ -80,15 +80,15 @@ def hiding_bound(longest: float, apart: float, radius: float, width: float) -> A
 
 @inlined
 def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
-    """True if landmark j may hide landmark k from some camera within a radius of the centre, see `find_suspects`.
+    """True if landmark j may hide landmark k from some camera within a radius of the centre; True for j = k.
 
-    False means that no such occlusion is possible. The computation is in float32; the result is True for j = k.
+    The computation is in float32.
 
     Seen from a camera and from the centre, the directions of a landmark at the distance d from the centre differ by at
     most asin(radius / d). Seen from the camera, the landmark hides only landmarks within asin(width / (d - radius)) of
     its direction. So if landmark j hides landmark k, the sine of the angle between both directions is at most
-    `close[j]` + `mine`. Here `close[j]` = radius / d_j + width / (d_j - radius), and `mine` = radius / d_k. `width` is
-    the greatest distance of an occluder from a line of sight.
+    `view.close[j]` + `mine`. Here `view.close[j]` = radius / d_j + width / (d_j - radius), and `mine` = radius / d_k.
+    `width` is the greatest distance of an occluder from a line of sight.
     """
     u, v, w = view.u, view.v, view.w
     cosine, sine = u[j] * u[k] + v[j] * v[k] + w[j] * w[k], view.close[j] + mine
@@ -99,8 +99,8 @@ def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
 def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: Any) -> Any:
     """Find the landmarks that may hide landmark k from some camera within `radius`, metres, of the centre.
 
-    The set of these landmarks is written as bits into `close` `(blocks,)`, 32 bits per entry. Return True if there is
-    such a landmark.
+    The first `count` landmarks of `view`, a `Viewpoint` as seen from the centre, are tested. The bit set of those found
+    is written into `close`, 32 landmarks per entry. Return True if any landmark is found.
     """
     # An upper bound radius / d on the sine of the angle by which the direction of landmark k may turn.
     mine = np.float32(min(radius / math.sqrt(view.squared[k]), 1.0) if view.squared[k] > 0.0 else 1.0)
@@ -125,8 +125,8 @@ def list_occluders(
 ) -> Any:
     """List the landmarks that may hide landmark k from a camera near a centre; return their number.
 
-    The landmarks in the bit set `close`, which `find_suspects` has written, are tested with `may_hide_around`. The
-    indices of those that pass the test are written to `occluders`.
+    The landmarks that `find_suspects` has found, the bit set `close`, are tested with `may_hide_around`. The indices of
+    those that pass the test are written to `occluders`.
     """
     x, y, z, kept = view.x, view.y, view.z, 0
     for b in range(blocks):

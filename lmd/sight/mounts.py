@@ -34,7 +34,7 @@ MARGIN = 1e-6  # safety margin of depths and distances, metres, above their roun
 
 
 class MountGroup(NamedTuple):
-    """M mounts of a rig with equal cameras, around C centres.
+    """M mounts of a rig with equal cameras; each camera stays near one of C centres when the body turns.
 
     The body has D orientations; a set of orientations is a bit set of W words of 64 bits.
     """
@@ -136,21 +136,21 @@ def _horizon(sight: Any, offsets: FloatArray) -> float:
 
 
 def with_sight(group: MountGroup, sight: Any) -> MountGroup:
-    """Copy of a group with another model of sight, such as `SightModel.unhidden`."""
+    """Copy of a mount group with another model of sight, such as one that ignores occlusion by landmarks."""
     return group._replace(sight=sight, horizon=_horizon(sight, group.places))
 
 
 def places_around(positions: FloatArray, group: MountGroup) -> FloatArray:
     """Positions of the cameras for P positions of the body, metres, `(P G, 3)`.
 
-    Rows p G to p G + G - 1 belong to position p of the body. The G offsets of the cameras from the body's origin are
-    `MountGroup.places`.
+    `MountGroup.places` has G different offsets of the cameras from the body's origin. Rows p G to p G + G - 1 of the
+    result are position p of the body plus each offset.
     """
     return np.asarray((positions[:, None] + group.places).reshape(-1, 3))
 
 
 def _all_of(size: int, words: int) -> np.ndarray:
-    """Bit set `(W,)` of the first `size` orientations."""
+    """Set of the first `size` orientations, as a bit set of `words` words of 64 bits."""
     return np.array([(1 << min(max(size - BITS * w, 0), BITS)) - 1 for w in range(words)], dtype=np.uint64)
 
 
@@ -262,9 +262,9 @@ def covers_from(group: Any, m: Integer, a: Integer, k: Integer, body: Vector, po
 
 @inlined
 def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body: Vector, pose: Any, frame: Any) -> Any:
-    """Set of the orientations in `left` at which the camera on mount m covers landmark k.
+    """Find those of the orientations in `left` at which the camera on mount m covers landmark k.
 
-    `left` and the result are bit sets of orientations of the body, 64 in a word; w is the index of this word. The other
+    `left` and the result are word w of bit sets of the body's orientations, with 64 orientations in a word. The other
     arguments are those of `covers_from`.
     """
     found = ZERO
@@ -277,10 +277,10 @@ def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body
 
 @inlined
 def blocked_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, p: Integer, ends: Any, row: Integer) -> Any:
-    """Set of the orientations in `left` at which the room blocks landmark k from the camera on mount m.
+    """Find those of the orientations in `left` at which the room blocks landmark k from the camera on mount m.
 
-    `left` and the result are bit sets of orientations of the body, 64 in a word; w is the index of this word. The body
-    is at position p. Row `row` of `ends` has the required points of the landmark, see `obstacles.find_ends`.
+    `left` and the result are word w of bit sets of the body's orientations, with 64 orientations in a word. The body is
+    at position p. Row `row` of `ends` has the required points of the landmark, see `obstacles.find_ends`.
     """
     found, sight = ZERO, sized(group.sight, k)
     while left:

@@ -66,7 +66,7 @@ def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -
 def half_edge(sight: Any) -> Any:
     """Half the edge length of the square whose corners must be seen, metres; 0.0 for a point landmark.
 
-    The result is an array `(K,)` for a model of landmarks of several sizes, a number for a `sized` model.
+    The result is an array `(K,)` if the model of sight is for K landmarks of several sizes, else a number.
     """
     return 0.0
 
@@ -111,7 +111,7 @@ def _has_no_body(obstacles: Any) -> Any:
 
 @dispatched
 def new_ends(obstacles: Any, count: Integer) -> Any:
-    """Return a new array `ends` for the required points of `count` landmarks; `find_ends` fills this array."""
+    """Return an empty array in which `find_ends` stores the required points of `count` landmarks."""
 
 
 @new_ends.register(Obstacles)
@@ -152,7 +152,10 @@ def _find_end_points(obstacles: Any, sight: Any, place: Vector, normal: Vector, 
 
 @inlined
 def write_points(sight: Any, place: Vector, normal: Vector, points: FloatArray, k: Integer) -> None:
-    """Write the required points of landmark k, its centre and the corners of a tag, into `points` `(K, POINTS, 3)`."""
+    """Write the points of landmark k that must be seen into `points` `(K, POINTS, 3)`, metres.
+
+    They are the centre `place` and, for a tag, its corners.
+    """
     half, sides = half_edge(sight), upright_axes(normal, VERTICAL_TOLERANCE)
     for i in range(POINTS if half > 0.0 else 1):
         points[k, i, 0], points[k, i, 1], points[k, i, 2] = point_of(i, half, place, sides)

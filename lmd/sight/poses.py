@@ -62,7 +62,7 @@ class Cells:
         return Cells(self.poses[index], self.half_u[index], self.half_v[index])
 
     def quarters(self) -> "Cells":
-        """Quarters of the cells, half as long along u and v: four for each cell, `4 N` in total."""
+        """Cut each cell into four cells, half as long and half as wide, `4 N` cells in total."""
         u, v = self.half_u / 2.0, self.half_v / 2.0
         points = np.concatenate([self.poses.positions + i * u + j * v for i in (-1, 1) for j in (-1, 1)])
         normals, surfaces = np.tile(self.poses.normals, (4, 1)), np.tile(self.poses.surfaces, 4)
@@ -123,11 +123,10 @@ def _gains(
     start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, slack: FloatArray, prices: FloatArray,
     parts: Any, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write into `out` `(N,)` the gains of the poses `start` to `stop - 1`.
+    """Write into `out` `(N,)` the results of `gains` for the poses `start` to `stop - 1`.
 
-    `points` and `normals` `(N, 3)` are the positions, metres, and unit normals of the poses; `slack` and `prices` are
-    as in `gains`. `parts` has the camera positions, `(3, P)`, and the evaluator's model of sight, obstacles, axes and
-    bands.
+    `points` and `normals` `(N, 3)` are the positions, metres, and unit normals of the poses. `parts` is a tuple of the
+    camera positions, `(3, P)`, and the evaluator's model of sight, obstacles, axes and bands.
     """
     positions, sight, obstacles, axes, bands = parts
     size, row = positions.shape[1], np.empty(axes.shape[1])
@@ -163,10 +162,10 @@ def _gains(
 def _sum_covered(
     start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, amounts: FloatArray, parts: Any, out: Any
 ) -> None:
-    """Add to `out` `(P, D)`, at the positions `start` to `stop - 1`, the amounts of the poses that are covered there.
+    """Add the amounts of covered poses to the rows `start` to `stop - 1` of `out` `(P, D)`, see `covered_amounts`.
 
-    `points` and `normals` `(N, 3)` are the positions, metres, and unit normals of the poses; `amounts` is `(N,)`.
-    `parts` has the camera positions, `(P, 3)`, and the evaluator's model of sight, obstacles, axes and bands.
+    `points` and `normals` `(N, 3)` are the positions, metres, and unit normals of the poses. `parts` is a tuple of the
+    camera positions, `(P, 3)`, and the evaluator's model of sight, obstacles, axes and bands.
     """
     positions, sight, obstacles, axes, bands = parts
     ends = new_ends(obstacles, 1)
@@ -222,7 +221,7 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
 
 
 def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray) -> FloatArray:
-    """For each position and axis, sum of the amounts of the covered poses.
+    """For each position and axis, sum of the amounts of the poses at which a landmark would be covered.
 
     The sum is c = sum_j x_j cover_j, where cover_j is 1 if a landmark at pose j is covered, else 0.
 
@@ -245,7 +244,5 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
 
 
 def shared(kernel: Callable[..., None], size: int, threads: int, fixed: tuple[Any, ...]) -> None:
-    """Run `kernel(start, stop, *fixed)` over `range(size)` on the threads, with `CHUNKS_PER_THREAD` chunks for each
-    thread.
-    """
+    """Divide `range(size)` into chunks among the threads; run `kernel(start, stop, *fixed)` for each chunk."""
     in_parts(threads, lambda first, last: kernel(first, last, *fixed), size, threads * CHUNKS_PER_THREAD)

@@ -43,10 +43,10 @@ def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, ax
 
 
 def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, station: Station) -> BoolArray:
-    """Mask `(a, K)` of the landmarks that the camera at a station covers: columns are its coverage caps.
+    """Mask `(a, K)` of the landmarks that a rig's camera covers; column k is the coverage cap of landmark k.
 
-    `position` `(3,)` is the position of the body, metres. The station has one offset of the camera from the body, and
-    the a orientations of the body that give this offset.
+    A station is one offset of the camera from the body, and the a orientations of the body that give this offset.
+    `position` `(3,)` is the position of the body, metres.
     """
     landmarks, place = (deployment.positions, deployment.normals), position + station.offset
     seen = scene.visibility.covered(station.camera, place, station.axes, *landmarks)
@@ -68,10 +68,10 @@ def n_ple_cap(counts: IntArray, n: int) -> BoolArray:
 def coverage_probability(
     counts: IntArray, pdf: OrientationPdf, n: int, positions: FloatArray | None = None
 ) -> FloatArray:
-    """P_n(p): probability of the n-ple cap under the PDF (Eq. P_n), `(...)`.
+    """P_n(p): probability, under the PDF, of the orientations that are in at least n caps (Eq. P_n), `(...)`.
 
-    `counts` `(..., A)` are the numbers of caps that contain each orientation. A PDF that depends on the position needs
-    the `positions` `(P, 3)` of the counts `(P, A)`.
+    `counts` `(..., A)` has the number of caps that contain each orientation. For a PDF that depends on the position,
+    `positions` `(P, 3)` must be given, and `counts` is `(P, A)`.
     """
     weight = pdf.weight if positions is None else pdf.at(positions)
     return np.asarray((n_ple_cap(counts, n) * weight).sum(axis=-1))
@@ -133,9 +133,11 @@ class ReferenceViews:
 
         Args:
             landmarks, normals: positions, metres, and unit normals, `(K, 3)`.
-            weights: quantised probability of each orientation, padded with zeros, `(1, 64 W)` or `(P, 64 W)`.
+            weights: quantised probability of each orientation, padded with zeros to 64 W columns, `(1, 64 W)` or
+                `(P, 64 W)`.
             n: number of landmarks that must be covered.
-            counts: receives the number of landmarks covered, `(P, 64 W)` zeros; empty to skip the counts.
+            counts: receives the number of landmarks that each orientation covers, `(P, 64 W)` zeros; empty to skip the
+                counts.
         """
         deployment, size = Deployment(landmarks, normals), len(self._axes)
         rows = np.broadcast_to(weights[:, :size], (len(self._positions), size))
@@ -148,7 +150,10 @@ class ReferenceViews:
         return units
 
     def gains(self, landmarks: FloatArray, normals: FloatArray, prices: FloatArray, slack: FloatArray) -> FloatArray:
-        """See `poses.gains`; N poses with `landmarks` and `normals` `(N, 3)`; `slack` must be 0."""
+        """Sum of the prices of the positions and orientations that cover each of N poses, `(N,)`, see `poses.gains`.
+
+        `landmarks` and `normals` `(N, 3)` are positions and unit normals of the poses; `slack` must be 0.
+        """
         if slack.any():
             self._scene.check_compiled("a bound on what pieces of the walls earn")
         alone = (self._alone(landmarks[[j]], normals[[j]]) for j in range(len(landmarks)))

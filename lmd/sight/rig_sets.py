@@ -37,7 +37,7 @@ Poses: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]  # see `covered_set
 
 @inlined
 def _fill_viewpoint_around(group: Any, c: Integer, view: Any, count: Integer, body: Vector, start: Any) -> None:
-    """Fill `view` for its first `count` landmarks, as seen from centre c of the group's cameras.
+    """Compute the fields of `view` for its first `count` landmarks, as seen from centre c of a mount group.
 
     `body` is the position of the body, metres. `start` `(K,)` receives the least depth, metres, at which a landmark
     well in view is certainly covered.
@@ -69,19 +69,19 @@ def _add_covered(
     positions: FloatArray, group: Any, landmarks: FloatArray, normals: FloatArray, slack: FloatArray, n: Integer,
     keep: bool, seen: WordArray,
 ) -> None:  # fmt: skip
-    """Add to `seen` the orientations with which the cameras of a group cover each landmark.
+    """Add to the sets `seen` the orientations at which the cameras of a mount group cover each landmark.
 
     Args:
         positions: positions of the body, in blocks of neighbours, `(P, 3)`, metres.
-        group: mounts; if their model is `unhidden`, occlusion by landmarks is ignored.
+        group: mounts; if their model of sight is `unhidden`, occlusion by landmarks is ignored.
         landmarks, normals: positions, metres, and unit normals, `(1, 3, K)`.
         slack: distance by which each landmark may be moved in its plane, `(K,)`, metres. If it is positive, an
             orientation counts if it may cover the moved landmark, and all occlusion is ignored for this landmark.
-        n: number of covered landmarks after which a test may stop, see `keep`.
-        keep: True to test all landmarks; False to test no further landmarks at a position and orientation from which n
-            landmarks are covered.
-        seen: bit sets of orientations, `(1, P, K, W)` for the group, or `(M, P, K, W)` for each of its mounts. The
-            latter requires `keep`.
+        n: number of landmarks, see `keep`.
+        keep: True to test all landmarks. False to skip the tests of further landmarks at a position and orientation
+            from which n landmarks are covered.
+        seen: bit sets of orientations in W words, `(1, P, K, W)` for the group, or `(M, P, K, W)` for each of its M
+            mounts. The latter requires `keep`.
     """
     sight, words, total = group.sight, np.uint64(seen.shape[3]), landmarks.shape[2]
     poses, indices, order = np.empty((6, total)), np.arange(total), np.arange(len(positions))
@@ -172,10 +172,10 @@ def _add_covered(
 
 @inner
 def _add_within_slack(group: Any, body: Vector, pose: Any, k: Integer, slack: Any, seen: Any) -> None:
-    """Add to `seen` `(W,)` the orientations that may cover landmark k, moved by up to `slack` metres in its plane.
+    """Add to the set `seen` the orientations that may cover landmark k, moved by up to `slack` metres in its plane.
 
-    `body` is the position of the body, metres; `pose` is the position and the unit normal of the landmark. Occlusion is
-    ignored. Nothing is added if `slack` is 0.
+    `seen` is a bit set of words of 64 bits. `body` is the position of the body, metres; `pose` is the position and the
+    unit normal of the landmark. Occlusion is ignored. Nothing is added if `slack` is 0.
     """
     sight, (place, normal) = sized(group.sight, k), pose
     if slack == 0.0:
@@ -197,7 +197,9 @@ def _add_within_slack(group: Any, body: Vector, pose: Any, k: Integer, slack: An
 def covered_sets(
     groups: tuple[MountGroup, ...], blockers: Blocking, positions: FloatArray, poses: Poses, n: int = 0
 ) -> np.ndarray:
-    """Bit sets of the orientations with which at least one camera covers each landmark, `(P, K, W)`.
+    """Sets of the orientations at which at least one camera of a rig covers each landmark, `(P, K, W)`.
+
+    A set is a bit set of W words of 64 bits, for a position of the body and a landmark.
 
     Args:
         groups: the mounts of the rig.
@@ -215,9 +217,9 @@ def covered_sets(
 
 
 def covered_sets_by_mount(group: MountGroup, blockers: Blocking, positions: FloatArray, poses: Poses) -> np.ndarray:
-    """Bit sets of the orientations with which each mount of a group covers each landmark, `(M, P, K, W)`.
+    """Sets of the orientations at which the camera on each mount of a group covers each landmark, `(M, P, K, W)`.
 
-    Other arguments as in `covered_sets`.
+    Sets and arguments are as in `covered_sets`.
     """
     seen = _empty_sets(len(group.axes), group, positions, poses)
     _add_group(group, blockers, positions, poses, 0, seen)
@@ -225,7 +227,7 @@ def covered_sets_by_mount(group: MountGroup, blockers: Blocking, positions: Floa
 
 
 def _empty_sets(count: int, group: MountGroup, positions: FloatArray, poses: Poses) -> np.ndarray:
-    """Empty sets of orientations, `(count, P, K, W)`."""
+    """Empty bit sets of orientations for each of `count` mounts, each position and landmark, `(count, P, K, W)`."""
     return np.zeros((count, len(positions), len(poses[0]), group.axes.shape[2] // BITS), dtype=np.uint64)
 
 

@@ -26,8 +26,9 @@ LARGEST_BATCH = 256
 def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: Any) -> None:
     """Write quantised P_n into `units` `(P,)`, and the numbers of covered landmarks into `counts` `(P, 64 W)`.
 
-    If `counts` is empty, only `units` is written. `seen` `(P, K, W)` has bit sets of the orientations from which each
-    landmark is covered, and `weights`, `(1, 64 W)` or `(P, 64 W)`, the quantised probabilities of the orientations.
+    If `counts` is empty, only `units` is written. `seen` `(P, K, W)` has bit sets, words of 64 bits, of the
+    orientations at which each landmark is covered. `weights`, `(1, 64 W)` or `(P, 64 W)`, are the quantised
+    probabilities of the orientations.
     """
     words, keep = np.uint64(seen.shape[2]), len(counts) > 0
     at_least = np.empty((n, words), dtype=np.uint64)  # [j]: orientations that cover more than j landmarks
@@ -74,10 +75,10 @@ def _sum_gains(seen: Any, prices: FloatArray, out: Any) -> None:
 
 @kernel
 def _sum_amounts(seen: Any, amounts: FloatArray, out: Any) -> None:
-    """For each position and orientation, add the amounts of the covered poses to `out` `(P, 64 W)`.
+    """For each position and orientation, add up the amounts of the poses at which a landmark would be covered.
 
-    `seen` `(P, N, W)` has bit sets of the orientations from which each of the N poses is covered, and `amounts` `(N,)`
-    the amounts of the poses.
+    The sums are added to `out` `(P, 64 W)`. `amounts` is `(N,)`. `seen` `(P, N, W)` has bit sets of the orientations
+    from which each of the N poses is covered.
     """
     for p in range(len(seen)):
         for j in range(len(amounts)):
@@ -108,10 +109,10 @@ class RigViews:
         return tuple(with_sight(group, group.sight.unhidden()) for group in self.groups)
 
     def groups_among(self, landmarks: FloatArray, normals: FloatArray) -> tuple[MountGroup, ...]:
-        """Mount groups whose models of sight are adapted to the landmarks of a deployment by `SightModel.among`.
+        """Mount groups that are prepared for the landmarks of one deployment.
 
-        A model ignores occlusion of landmarks by landmarks if this cannot occur. `landmarks`, metres, and unit
-        `normals` are `(K, 3)`.
+        If no landmark can hide another, the models of sight of the groups ignore such occlusion, see
+        `SightModel.among`. `landmarks` and `normals` `(K, 3)` are positions, metres, and unit normals.
         """
         low, high = self.positions.min(axis=0), self.positions.max(axis=0)
         batch = landmarks.T[None], normals.T[None]
@@ -132,9 +133,10 @@ class RigViews:
 
         Args:
             landmarks, normals: positions, metres, and unit normals, `(K, 3)`.
-            weights: quantised probability of each orientation, `(1, 64 W)` or `(P, 64 W)`.
+            weights: quantised probability of each orientation, padded to 64 W columns, `(1, 64 W)` or `(P, 64 W)`.
             n: number of landmarks that must be covered.
-            counts: receives the number of landmarks covered, `(P, 64 W)` zeros; empty to skip the counts.
+            counts: receives the number of landmarks that each orientation covers, `(P, 64 W)` zeros; empty to skip the
+                counts.
         """
         units, slack = np.empty(len(self.positions), dtype=np.int64), np.zeros(len(landmarks))
         groups = self.groups_among(landmarks, normals)
@@ -154,7 +156,10 @@ class RigViews:
         return units
 
     def gains(self, landmarks: FloatArray, normals: FloatArray, prices: FloatArray, slack: FloatArray) -> FloatArray:
-        """See `poses.gains`; N poses with `landmarks` and `normals` `(N, 3)`."""
+        """Sum of the prices of the positions and orientations that cover each of N poses, `(N,)`, see `poses.gains`.
+
+        `landmarks` and `normals` `(N, 3)` are positions and unit normals of the poses.
+        """
         out, single = np.empty(len(landmarks)), self._single
 
         def job(part: slice) -> None:

@@ -33,7 +33,8 @@ REGION = 16 * BLOCK  # positions in a region; landmarks beyond its horizon are n
 class Viewpoint(NamedTuple):
     """Working memory for K landmarks as seen from one position; the next position overwrites it.
 
-    Entry k of the fields after `near_index` belongs to landmark k of `near_poses`.
+    `near_poses` lists the landmarks that may be seen. Entry k of the fields from `x` to `close` belongs to landmark k
+    of this list.
     """
 
     region_poses: np.ndarray
@@ -83,7 +84,7 @@ class Viewpoint(NamedTuple):
     """`(K,)` third coordinate of the unit direction to the landmark."""
     close: np.ndarray
     """`(K,)` limit on the angle at which the landmark may hide another: least squared cosine of the angle between the
-    directions of both landmarks.
+    directions of both landmarks; for a rig, the sine `close` of `lmd.sight.mount_occlusion`.
     """
     shown: np.ndarray
     """`(K,)` list of the landmarks that some orientation sees; the caller stores the length of the list."""
@@ -145,11 +146,11 @@ def gather(
 def load_deployment(
     b: Integer, landmarks: FloatArray, normals: FloatArray, sight: Any, room: Any, poses: FloatArray
 ) -> None:
-    """Write positions, metres, and unit normals of deployment b's landmarks into `poses` `(6, K)`.
+    """Write the landmarks of one of B deployments into `poses` `(6, K)`: positions, metres, and unit normals.
 
-    If the room has obstacles, also write the required points of the landmarks (`obstacles.find_ends`) into the last
-    entry of the tuple `room`, see `is_shown`. `landmarks` and `normals` are the positions and unit normals of B
-    deployments, `(B, 3, K)`.
+    `landmarks` and `normals` `(B, 3, K)` are those of all deployments, and b is the index of the deployment. `room` is
+    the tuple described in `is_shown`. If the room has obstacles, the required points of the landmarks are written into
+    the last entry of this tuple, by `obstacles.find_ends`.
     """
     obstacles, clear, ends = room
     for k in range(landmarks.shape[2]):
@@ -165,21 +166,20 @@ def gather_near(
     o: Integer, part: Any, horizon: float, many: Integer, count: Integer, poses: FloatArray, indices: np.ndarray,
     view: Viewpoint,
 ) -> Any:  # fmt: skip
-    """Update the lists of the landmarks near the region, and near the block, of position `order[o]`.
+    """List the landmarks near position `order[o]`: those near its region, and among these, those near its block.
 
-    A list is updated only if this position is the first in its region or in its block.
+    Positions are visited in the order `order`. A list is updated only at the first position of a region (16 blocks) or
+    of a block, and is valid for the other positions.
 
     Args:
-        part: `first`, `last`, `order` and `positions`: the caller works on the positions `order[first:last]`, in blocks
-            of neighbours.
+        part: tuple of `first`, `last`, `order` and `positions`: the caller visits the positions `order[first:last]`.
         horizon: distance beyond which a landmark has no effect, metres.
-        many, count: for the previous position, number of landmarks near its region, and number of landmarks near its
-            block.
+        many, count: numbers of landmarks in both lists, for the previous position.
         poses, indices: positions and unit normals of all landmarks, `(6, K)`, and their indices, `(K,)`.
-        view: working memory, whose lists are updated.
+        view: working memory with both lists.
 
     Returns:
-        many, count: these numbers for position `order[o]`.
+        many, count: numbers of landmarks in both lists, for position `order[o]`.
     """
     first, last, order, positions = part
     if o == first or o % REGION == 0:
@@ -194,9 +194,10 @@ def gather_near(
 
 @inlined
 def fill_viewpoint(view: Viewpoint, count: Integer, camera: Vector, sight: Any, tables: Any) -> None:
-    """Fill `view` for its first `count` landmarks, as seen from the position `camera`, for all orientations.
+    """Compute the fields of `view` for its first `count` landmarks, as seen from the position `camera`.
 
-    `tables` has the result of `directions.tables`; None for a model without tables.
+    The fields hold for all orientations. `tables` has the result of `directions.tables`; None for a model of sight
+    without tables.
     """
     near, index, x, y, z, squared, low, high, sure_depth = (
         view.near_poses, view.near_index, view.x, view.y, view.z, view.squared, view.low, view.high, view.sure_depth
@@ -270,8 +271,9 @@ def is_shown(k: Integer, view: Viewpoint, count: Integer, p: Integer, sight: Any
 
 @inlined
 def list_shown(view: Viewpoint, count: Integer, p: Integer, sight: Any, room: Any) -> Any:
-    """Write the indices of the landmarks that pass `is_shown` into `view.shown`, and return the number of these
-    landmarks.
+    """List the landmarks that some orientation sees from position p; return their number.
+
+    Their indices are written into `view.shown`. The arguments are those of `is_shown`, which tests each landmark.
     """
     shown, found = view.shown, np.uint64(0)
     for k in range(count):

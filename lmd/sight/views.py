@@ -28,7 +28,7 @@ def _mark_visible(
     positions: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray, sight: Any, obstacles: Any,
     seen: Any,
 ) -> None:  # fmt: skip
-    """Set the entries of `seen` `(N, K)` for the landmarks covered from N poses.
+    """Set the entries of `seen` `(N, K)` to True for the landmarks that are covered from each of N poses.
 
     Args:
         positions: positions of the camera, `(N, 3)`, metres.
@@ -36,7 +36,7 @@ def _mark_visible(
         landmarks, normals: positions, metres, and unit normals, `(1, 3, K)`.
         sight: compiled model of sight.
         obstacles: obstacles prepared for the positions, see `obstacles_of`.
-        seen: receives the mask.
+        seen: mask, False at first.
     """
     count, clear = landmarks.shape[2], is_clear(obstacles)
     view, room = viewpoint_for(count), (obstacles, clear, new_ends(obstacles, count))

@@ -23,9 +23,10 @@ TRAPEZOID_NUMBERS = 6
 
 
 def trapezoids(region: Any) -> FloatArray:
-    """Cut a region into T trapezoids by lines of constant a through its vertices; return rows `(T, 6)`.
+    """Cut a region into T trapezoids; return one row of six numbers for each trapezoid, `(T, 6)`.
 
-    The columns are a, lower b and upper b, metres, each at the left and at the right side.
+    The region has coordinates (a, b), metres; it is cut along lines of constant a through its vertices. The columns are
+    a (left, right), lower b (left, right) and upper b (left, right).
     """
     import shapely
 
@@ -49,15 +50,16 @@ def trapezoids(region: Any) -> FloatArray:
 
 
 def sizes(pieces: FloatArray) -> FloatArray:
-    """Areas of the trapezoids in the rows of `pieces` `(T, 6)`, square metres, `(T,)`."""
+    """Areas of T trapezoids, square metres, `(T,)`; `pieces` `(T, 6)` has rows as returned by `trapezoids`."""
     left, right, low_left, low_right, high_left, high_right = pieces.T
     return np.asarray((right - left) * (0.5 * (high_left - low_left) + 0.5 * (high_right - low_right)))
 
 
 def eroded(region: Any, margin: float) -> Any:
-    """Erode a region by a square with the edge length 2 `margin`, metres, and sides along u and v.
+    """Return the part of a region that remains after an erosion by a square.
 
-    A point remains in the region if the square around the point lies in the region.
+    A point (a, b) remains if the square around it lies in the region. The square has the edge length 2 `margin`,
+    metres, and sides along a and b.
     """
     import shapely
 
@@ -74,7 +76,7 @@ def eroded(region: Any, margin: float) -> Any:
 
 
 def polygons(region: Any) -> Any:
-    """Return a region without parts smaller than `MIN_AREA`, with its vertices in a normalised order."""
+    """Return a region without parts of at most `MIN_AREA`, normalised by `shapely.normalize`."""
     import shapely
 
     parts = [part for part in shapely.get_parts(region) if part.area > MIN_AREA]
@@ -86,8 +88,8 @@ def _spread(
 ) -> tuple[Any, Any]:
     """Map x and y in [0, 1] to the coordinates (a, b) of a point in a trapezoid.
 
-    Uniformly distributed x and y give uniformly distributed points. The other arguments are the six numbers of the
-    trapezoid. All arguments are numbers or arrays.
+    Uniformly distributed x and y give uniformly distributed points. The first six arguments are the columns of
+    `trapezoids`. All arguments are numbers or arrays.
     """
     one, two = high_left - low_left, high_right - low_right
     even = one == two
@@ -98,18 +100,24 @@ def _spread(
 
 
 def spread(pieces: FloatArray, at: FloatArray) -> FloatArray:
-    """Map points `at` `(..., 2)` of the unit square to points (a, b) of the trapezoids `pieces` `(..., 6)`.
+    """Map points of the unit square to points of trapezoids; return coordinates (a, b), metres, `(..., 2)`.
 
     Uniformly distributed points of the square give uniformly distributed points of the trapezoids.
+
+    Args:
+        pieces: trapezoid for each point, a row as returned by `trapezoids`, `(..., 6)`.
+        at: points of the unit square, `(..., 2)`.
     """
     columns = [*np.moveaxis(pieces, -1, 0), *np.moveaxis(at, -1, 0)]
     return np.stack(_spread(*columns), axis=-1)
 
 
 def gathered(pieces: FloatArray, places: FloatArray) -> FloatArray:
-    """Map the points (a, b) `places` `(..., 2)` of the trapezoids `pieces` `(..., 6)` to points of the unit square.
+    """Map points of trapezoids to points of the unit square, `(..., 2)`; inverse of `spread`.
 
-    The function is the inverse of `spread`.
+    Args:
+        pieces: trapezoid of each point, a row as returned by `trapezoids`, `(..., 6)`.
+        places: coordinates (a, b) of the points, metres, `(..., 2)`.
     """
     left, right, low_left, low_right, high_left, high_right = np.moveaxis(pieces, -1, 0)
     one, two = high_left - low_left, high_right - low_right
@@ -127,8 +135,9 @@ spread_one = inlined(_spread)
 def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
     """Find the trapezoid nearest to the point (a, b) among the rows `start` to `stop - 1` of `pieces`.
 
-    Return the index of its row, and the coordinates of the trapezoid's point that is nearest to (a, b). The coordinates
-    are exact inside a trapezoid and for rectangles, otherwise approximate.
+    Return the index of its row, and the coordinates of the point in the trapezoid that is nearest to (a, b). These
+    coordinates are exact if (a, b) is in a trapezoid or if the trapezoid is a rectangle. Otherwise they are
+    approximate.
     """
     piece, least, at_a, at_b = start, np.inf, a, b
     for t in range(start, stop):

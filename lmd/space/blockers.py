@@ -26,7 +26,10 @@ class Body(NamedTuple):
 
 
 class Blockers(NamedTuple):
-    """M convex bodies, as arrays of their J planes in total."""
+    """M convex bodies that block lines of sight, as arrays of all their planes.
+
+    There are J planes in total, in the order of the bodies.
+    """
 
     normals: np.ndarray
     """Outward unit normals, `(J, 3)`."""
@@ -39,10 +42,10 @@ class Blockers(NamedTuple):
 
     @classmethod
     def of(cls, bodies: Sequence[Body]) -> "Blockers":
-        """Make the arrays of one or more bodies.
+        """Collect the planes of one or more bodies in arrays, and move the planes slightly.
 
-        Faces are moved inwards by `PLACEMENT_TOLERANCE`; planes between adjacent bodies are moved outwards by
-        `OVERLAP_M`.
+        Planes that are faces of a body are moved inwards by `PLACEMENT_TOLERANCE`, so that points on a face are outside
+        the body. Planes between adjacent bodies are moved outwards by `OVERLAP_M`, so that the bodies overlap.
         """
         normals, offsets, solid = (np.concatenate(parts) for parts in zip(*bodies, strict=True))
         offsets = offsets + np.where(solid, -PLACEMENT_TOLERANCE, OVERLAP_M)
@@ -161,15 +164,17 @@ def upright_bodies(polygon: Any) -> list[Body]:
 
 
 def _tips(edge: FloatArray, solid: Any) -> tuple[FloatArray, FloatArray]:
-    """Lines that cut off the tips of a convex piece: unit normals `(T, 2)`, and offsets n . x, metres, `(T,)`.
+    """Lines that cut off the tips of a convex body in the space outside a room.
 
-    There is one line for each vertex at which neither edge is part of a wall. Such edges are moved outwards by
-    `OVERLAP_M`, so that adjacent pieces overlap. At the vertex, the enlarged piece would have a tip that protrudes into
-    the room. The line is perpendicular to the bisector of both edges and cuts this tip off.
+    Adjacent bodies overlap. So where two edges of a body meet that are not part of a wall, a tip of the body would
+    protrude into the room.
 
     Args:
-        edge: edges of the piece, counter-clockwise, metres, `(N, 2, 2)`.
+        edge: edges of the body, counter-clockwise, metres, `(N, 2, 2)`.
         solid: mask of the edges that are part of a wall, `(N,)`.
+
+    Returns:
+        unit normals n of the lines, `(T, 2)`, and offsets n . x, metres, `(T,)`.
     """
     bare = ~solid & ~np.roll(solid, 1)  # tips at the start of an edge
     way = edge[:, 1] - edge[:, 0]

@@ -14,8 +14,9 @@ from lmd.space.surface import Surface
 
 
 class Changed:
-    """Base of rooms derived from another room. Attributes and methods that a subclass does not define are those of the
-    original room.
+    """Base class of rooms derived from another room, the original room.
+
+    Attributes and methods that a subclass does not define are those of the original room.
     """
 
     def __init__(self, room: Space) -> None:
@@ -30,13 +31,14 @@ class Changed:
 
 
 class Inset(Changed):
-    """Room with smaller surfaces, such as the allowed centres of footprints.
+    """Room whose surfaces lack a strip along their edges.
 
-    `surfaces_of`, `surface_near` and `faces` use the original surfaces.
+    A strip half as wide as a tag's paper keeps this paper on the original surface. `surfaces_of`, `surface_near` and
+    `faces` use the original surfaces.
 
     Args:
         room: original room.
-        margin: width of the strip that is removed along all edges of the surfaces, metres.
+        margin: width of the strip, metres.
 
     Raises:
         InputError: a surface vanishes.
@@ -68,8 +70,10 @@ class _Cells(NamedTuple):
 
 @dataclass(frozen=True)
 class TimeSpent:
-    """Weights (relevance) of a recording's positions: the time spent in a position's cell, times the weight of the
-    position in the room.
+    """Relevance (weights) of the camera positions of a recording.
+
+    The weight of a position is the time that the camera spent in the grid cell of the position, times the weight that
+    the room's own relevance gives to the position.
     """
 
     positions: FloatArray
@@ -80,7 +84,7 @@ class TimeSpent:
     """Weights of positions in the room, by which the times are multiplied."""
 
     def weights(self, points: FloatArray) -> FloatArray:
-        """See `Weighing.weights`; a point belongs to the nearest cell."""
+        """Weight of each of the `points` `(P, 3)`, shape `(P,)`; the time is that of the nearest cell."""
         from scipy.spatial import cKDTree  # slow to load, and only recordings need it
 
         _, nearest = cKDTree(self.positions).query(points)
@@ -176,12 +180,17 @@ SPACING = 1.0  # edge of the base class's cells, metres; not used by a driven ro
 
 
 class FrameTime(TimeSpent):
-    """Weights (relevance) of the frames of drives: the duration of a frame, times the weight of its position in the
-    room.
+    """Relevance (weights) of the frames of drives.
+
+    The weight of a frame is its duration, times the weight that the room's own relevance gives to its position.
     """
 
     def weights(self, points: FloatArray) -> FloatArray:
-        """See `Weighing.weights`; points that are not positions of frames have the weights of the room."""
+        """Weight of each of the `points` `(P, 3)`, shape `(P,)`.
+
+        The durations count only if `points` are the positions of all frames, in their order. The weights of other
+        points are those of the room's own relevance.
+        """
         seconds = self.seconds if np.array_equal(points, self.positions) else np.float64(1.0)
         return np.asarray(self.within.weights(points) * seconds)
 

@@ -64,7 +64,7 @@ MOST_STATES = 200_000
 
 
 def number_or_span(name: str, value: Any) -> float | tuple[float, float]:
-    """Return `value` as a positive length or as a range of lengths; raise `InputError` for another value."""
+    """Return `value`, a positive length or a range [lowest, highest]; raise `InputError` for another value."""
     if not isinstance(value, Sequence) or isinstance(value, str):
         return real(name, value, above=0.0)
     return span(name, value, above=0.0)
@@ -127,11 +127,13 @@ class CrowdStates:
 
     @property
     def worst_count(self) -> int:
-        """Number of states that count as the worst."""
+        """Number of crowd states that count as the worst, for the mean over the worst states."""
         return worst_of(len(self), self.crowd.worst)
 
     def present(self, positions: FloatArray, states: IntArray) -> BoolArray:
-        """Mask of the cylinders that are at least the clearance away from the camera, `(P, N)`; others are ignored.
+        """Mask of the cylinders that are at least the clearance away from the camera; others are ignored.
+
+        The mask is `(P, N)` for the N cylinders of a crowd state.
 
         Args:
             positions: camera positions, `(P, 3)`, metres.
@@ -146,7 +148,7 @@ class CrowdStates:
     def clear(self, position: FloatArray, points: FloatArray) -> BoolArray:
         """Mask of the lines from a camera position `(3,)` to points `(..., 3)` that no cylinder blocks, `(...)`.
 
-        There must be exactly one crowd state. The function is the reference for the compiled kernels.
+        There must be exactly one crowd state in this object. Compiled kernels must give equal results.
         """
         assert len(self) == 1, "the reference is about one state"
         standing = self.people[0][self.present(position[None], np.zeros(1, dtype=np.int64))[0]]
@@ -157,7 +159,10 @@ class CrowdStates:
 
 
 def _crosses(cylinder: FloatArray, position: FloatArray, points: FloatArray) -> BoolArray:
-    """Mask of the lines from a position `(3,)` to points `(..., 3)` that a cylinder `(5,)` blocks."""
+    """Mask of the lines from a position `(3,)` to points `(..., 3)` that one cylinder blocks, `(...)`.
+
+    `cylinder` `(5,)` has x, y, radius, lower and upper z, metres.
+    """
     dx, dy, dz = (points[..., i] - position[i] for i in range(3))
     ex, ey = cylinder[X] - position[0], cylinder[Y] - position[1]
     a, b, c = dx * dx + dy * dy, dx * ex + dy * ey, ex * ex + ey * ey - cylinder[RADIUS] * cylinder[RADIUS]
@@ -176,7 +181,10 @@ def _crosses(cylinder: FloatArray, position: FloatArray, points: FloatArray) -> 
 
 
 def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
-    """Draw cylinders that overlap neither each other nor parts of the room, `(S, N, 5)`."""
+    """Draw the N cylinders of each of S crowd states, `(S, N, 5)`: x, y, radius, lower and upper z, metres.
+
+    Cylinders of a state overlap neither each other nor walls and obstacles.
+    """
     shape = crowd.states, crowd.number
     check_memory(8.0 * COLUMNS * crowd.states * crowd.number, f"crowd of {shape[1]} in {shape[0]} states", "number")
     people, floor = np.empty((*shape, COLUMNS)), floor_of(room)
@@ -205,10 +213,11 @@ def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
 
 
 def stands(room: Space, cylinders: FloatArray) -> BoolArray:
-    """Mask of the cylinders `(M, 5)` that are in the free space of a room, `(M,)`.
+    """Mask of the M cylinders that are in the free space of a room, `(M,)`.
 
     A cylinder is tested on its axis and in `DIRECTIONS` directions around the axis, at each of `HEIGHTS` (fractions of
-    the cylinder's height). A cylinder taller than the room ends at the room's ceiling.
+    the cylinder's height). A cylinder taller than the room ends at the room's ceiling. The columns of `cylinders`
+    `(M, 5)` are x, y, radius, lower and upper z, metres.
     """
     angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     ring = np.concatenate([np.zeros((1, 2)), np.stack([np.cos(angles), np.sin(angles)], axis=-1)])

@@ -23,8 +23,8 @@ class FloorPlan(Checked):
     """Room with upright walls over a simple polygon, with pillars, furniture, doors and windows.
 
     Raises:
-        InputError: a polygon crosses itself or is clockwise, an obstacle, hole or keep-out lies outside, a name is
-            unknown, or a surface has no allowed region.
+        InputError: a polygon crosses itself or is clockwise, a pillar or an obstacle is not inside the room, a keep-out
+            is not on its surface, a name is unknown, or a surface has no allowed region.
     """
 
     outline: Annotated[Sequence[Sequence[float]], checked_ring]
@@ -63,7 +63,7 @@ class FloorPlan(Checked):
         self.carriers  # noqa: B018 # raises if a surface has no allowed region
 
     def _check_parts(self) -> None:
-        """Raise `InputError` if a hole or obstacle lies outside the room, or a keep-out outside its surface."""
+        """Raise `InputError` if a pillar or an obstacle is not inside the room, or a keep-out is not on its surface."""
         import shapely
 
         outline, holes = shapely.Polygon(self.outline), [shapely.Polygon(hole) for hole in self.holes]
@@ -106,14 +106,16 @@ class FloorPlan(Checked):
 
     @cached_property
     def blockers(self) -> Blockers | None:
-        """Bodies that can block lines between points of the room."""
+        """Convex bodies that can block lines between points of the room; None if there are none."""
         bodies = [*upright_bodies(self.ground), *(obstacle.body for obstacle in self.obstacles)]
         return Blockers.of(bodies) if bodies else None
 
     @cached_property
     def hull(self) -> tuple[FloatArray, FloatArray]:
-        """Lines n . x = d through the walls on the convex hull: outward unit normals n, `(N, 2)`, and offsets d,
-        metres, `(N,)`.
+        """Lines n . x = d through the walls that lie on the convex hull of the room's outline.
+
+        Returns:
+            outward unit normals n, `(N, 2)`, and offsets d, metres, `(N,)`.
         """
         return planes(edges(self.outline)[on_hull(self.ground)])
 
@@ -144,7 +146,7 @@ class FloorPlan(Checked):
 
     @cached_property
     def _faces(self) -> dict[str, Surface]:
-        """All faces of walls, floor, ceiling and obstacles by name, as whole rectangles; keep-outs are not cut out."""
+        """Faces of walls, floor, ceiling and obstacles by name, as whole rectangles, with their keep-outs."""
         faces = [self._wall(f"wall_{i}", edge, -1.0) for i, edge in enumerate(edges(self.outline))]
         for i, hole in enumerate(self.holes):
             faces += [self._wall(f"hole_{i}_wall_{j}", edge, 1.0) for j, edge in enumerate(edges(hole))]
@@ -171,18 +173,21 @@ class FloorPlan(Checked):
 
     @property
     def faces(self) -> tuple[Surface, ...]:
-        """Faces that can be seen from inside the room; keep-outs are not cut out."""
+        """Faces of walls, floor, ceiling and obstacles, as whole rectangles, with their keep-outs."""
         return tuple(self._faces.values())
 
     @property
     def kept_out(self) -> list[FloatArray]:
-        """Vertices of the keep-outs, world frame, metres, `(N, 3)` each."""
+        """Vertices of each keep-out (part of a surface without landmarks), world frame, metres, `(N, 3)` each."""
         on = ((self._faces[part.surface], part.ring) for part in self.keep_out)
         return [face.point(*face.from_left_and_below(ring).T) for face, ring in on]
 
     @property
     def fixtures(self) -> list[Fixture]:
-        """Keep-outs and obstacles as named parts for drawings; a part without a name is named by its index."""
+        """Obstacles and keep-outs (parts of surfaces without landmarks, such as doors), for drawings.
+
+        One that has no name of its own is named by its index, such as `obstacle 0`.
+        """
         parts = [(f"keep_out {i}", *pair) for i, pair in enumerate(zip(self.keep_out, self.kept_out, strict=True))]
         parts += [(f"obstacle {i}", part, part.corners()) for i, part in enumerate(self.obstacles)]
         return [Fixture(part.name or number, corners) for number, part, corners in parts]
@@ -219,8 +224,9 @@ class FloorPlan(Checked):
         return face.where(region)
 
     def _region(self, face: Surface) -> Any:
-        """Part of a face's bounding rectangle that belongs to the face. For a face of an obstacle, this is the part in
-        front of which the room has free space.
+        """Part of a surface's rectangle that is inside the room, a shapely polygon in coordinates (a, b), metres.
+
+        For a face of an obstacle, this is the part in front of which the room has free space.
         """
         import shapely
 

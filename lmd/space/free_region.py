@@ -76,14 +76,15 @@ def plan_of_grid(
 
     Args:
         grid: map.
-        tolerance: maximum distance of a wall from the contour in the map, metres.
+        tolerance: maximum distance of a wall of the plan from the border of the free cells, metres.
         speck: a group of cells that are not free counts as free if both sides of its bounding box are shorter than
             this, metres.
         passage: minimum width of parts of the free region, metres; narrower parts are left out.
         start: point (x, y) in the region, metres; None for the largest region.
 
     Raises:
-        InputError: there is no free region, or a setting does not fit the map.
+        InputError: there is no free region, `passage` is too wide, `start` is not in a free region, or the plan would
+            have too many corners.
     """
     cell = grid.resolution
     region = _free_region(grid, tolerance / cell, speck / cell, passage / cell, start)
@@ -157,9 +158,10 @@ def _free_region(
 
 
 def _at(grid: OccupancyGrid, parts: IntArray, start: tuple[float, ...], corner: IntArray) -> int:
-    """Label, in the array `parts`, of the part of the free region that contains the point `start`.
+    """Label (number) of the connected part of the free cells that contains the point `start`.
 
-    `start` is in the map frame, metres. `corner` is the column and row in the map of the first cell of `parts`.
+    `parts` has the label of each cell in a section of the map. `corner` is the column and row, in the map, of the first
+    cell of this section. `start` is in the frame of the map, metres.
     """
     column, row = np.floor(grid.in_cells(np.array(start)) - corner).astype(int)
     inside = 0 <= row < parts.shape[0] and 0 <= column < parts.shape[1]
@@ -187,9 +189,9 @@ def _left_out(grid: OccupancyGrid, labels: IntArray, others: list[tuple[int, int
 
 
 def _without_pinches(region: BoolArray, core: BoolArray) -> BoolArray:
-    """Mask of the cells of a region that are connected to the mask `core`.
+    """Remove cells from a region until no two cells touch only at a corner; return the mask of its cells.
 
-    If two cells of the region touch only at a corner, one of them is dropped.
+    So the border of the region does not touch itself. Parts that are not connected to the cells `core` are dropped.
     """
     from scipy import ndimage
 
@@ -298,7 +300,7 @@ def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatA
 
 
 def _gaps(edge: FloatArray, to_wall: FloatArray, most: float, shortest: float) -> list[tuple[float, float]]:
-    """Find the parts of an edge that are farther than `most` cells from the nearest occupied cell.
+    """Find the parts of a floor plan's edge that are farther than `most` cells from the nearest occupied cell.
 
     Args:
         edge: ends of the edge, in cells, `(2, 2)`.

@@ -102,10 +102,11 @@ def latin_hypercube(repeats: int, shape: tuple[int, ...], rng: np.random.Generat
 
 
 def kronecker(shift: FloatArray) -> Callable[[int], FloatArray]:
-    """Make a function that returns the next `count` points of a Kronecker sequence in the unit cube, `(count, 3)`.
+    """Make a function that returns the next points of a Kronecker sequence, evenly spread in the unit cube.
 
-    If the first point `shift` `(3,)` is uniform, every point is uniform. Means over many points usually have smaller
-    errors than means over independent points.
+    The function takes the number of points `count` and returns points `(count, 3)`. `shift` `(3,)` is the first point
+    of the sequence. If it is uniform, every point is uniform. Means over many points usually have smaller errors than
+    means over independent points.
     """
     drawn = 0
 
@@ -134,7 +135,10 @@ def clear_of(blockers: Blockers | Triangles | None, starts: FloatArray, ends: Fl
 
 
 class Gridded(Checked, ABC):
-    """Base class of rooms with a grid; a subclass is a frozen dataclass with the fields declared here."""
+    """Base class of rooms whose camera positions are the reachable points of a grid in a box.
+
+    A subclass is a frozen dataclass that defines the fields `reachable`, `spacing` and `positions`.
+    """
 
     reachable: Any
     spacing: Any
@@ -191,11 +195,11 @@ class Gridded(Checked, ABC):
         return f"{self.kind} of {' x '.join(f'{length:.{self.digits}g}' for length in high - low)} m"
 
     def _set_grid(self, lacking: str, argument: str) -> None:
-        """Check `spacing`, and check that the grid has a position.
+        """Replace `spacing` by its checked value, and raise `InputError` if the grid has no position.
 
         Args:
-            lacking: message if the grid has no positions.
-            argument: name of the argument that causes the lack.
+            lacking: message of the error about a grid without positions.
+            argument: name of the argument that the error reports.
         """
         low, high = self.box
         object.__setattr__(self, "spacing", checked_spacing(self.spacing, (high - low).tolist()))
@@ -274,11 +278,11 @@ class Gridded(Checked, ABC):
         return drawn
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; this method also decides between several surfaces that contain a landmark.
+        """Index of the surface on which each of K landmarks lies, `(K,)`; -1 for landmarks on no surface.
 
-        At an edge that surfaces share, a landmark belongs to the surface whose normal is most similar to the
-        landmark's. Among coplanar surfaces with overlapping rectangles, it belongs to the surface whose allowed region
-        contains it.
+        Several surfaces can contain a landmark. At an edge that surfaces share, the landmark belongs to the surface
+        whose normal is most similar to the landmark's. Among coplanar surfaces with overlapping rectangles, it belongs
+        to the surface whose allowed region contains it.
         """
         carriers, within, allowed = self._carried(positions)
         hangs = within & self.contains(positions)[..., None]

@@ -92,7 +92,7 @@ def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
 
 
 def grown(shapes: Any, width: float) -> Any:
-    """Buffer shapes by `width`, metres, with mitred corners; a negative width shrinks them."""
+    """Enlarge shapely geometries by `width`, metres, on all sides, with mitred corners; shrink if it is negative."""
     import shapely
 
     with np.errstate(divide="ignore", invalid="ignore"):  # warnings about intermediate results that GEOS discards
@@ -120,7 +120,7 @@ def standing_on(surface: Surface, triangles: FloatArray, height: float) -> list[
 def _between(corners: FloatArray, height: FloatArray, low: float, high: float) -> FloatArray:
     """Corners, in any order, `(m, 3)`, of the part of a triangle between the heights `low` and `high`, metres.
 
-    `corners` `(3, 3)` are the corners of the whole triangle, and `height` `(3,)` are the heights of these corners.
+    `corners` `(3, 3)` are the corners of the whole triangle, and `height` `(3,)` are their heights above some plane.
     """
     found = [corners[(height >= low) & (height <= high)]]
     for i, j in ((0, 1), (1, 2), (2, 0)):
@@ -142,12 +142,12 @@ LEVEL_NORMAL_Z, STOREY = 0.999, 0.1
 
 
 def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
-    """Sentence with the evidence that the assumed up axis of a mesh's file (z or y) is wrong; None if there is no
-    evidence.
+    """Sentence with the evidence that the assumed up axis of a mesh's file (z or y) is wrong; None without evidence.
 
     Args:
         mesh: mesh, rotated to z up from the assumed axis `Mesh.up`.
-        undecided: True to resolve a tie of the areas by choosing the axis along which the room is lower.
+        undecided: True to prefer the axis along which the room is lower, if both axes make about as much of the mesh
+            upright or level.
     """
     corners = mesh.vertices[mesh.faces]
     other = "y" if mesh.up == "z" else "z"
@@ -246,7 +246,7 @@ class Interior:
     def contains(self, points: FloatArray) -> BoolArray:
         """Mask of the points `(..., 3)` that are in the room or on its walls, `(...)`.
 
-        All points must be in the box.
+        All points must be in the box around the mesh, from `low` to `high`.
         """
         nodes, inside = self.nodes
         flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
@@ -268,6 +268,9 @@ class Interior:
 
 
 def _nearest_first() -> IntArray:
-    """Integer offsets from the lowest corner of a cell to the nodes around the cell, nearest first, `(M, 3)`."""
+    """Offsets to the grid nodes from which a clear line to a point is searched, nearest node first, `(M, 3)`.
+
+    They are integers, counted from the lowest corner of the grid cell that contains the point.
+    """
     offsets = np.array(list(itertools.product(range(1 - STEPS_TO_NODES, 1 + STEPS_TO_NODES), repeat=3)))
     return offsets[np.argsort(np.abs(offsets - 0.5).sum(axis=1), kind="stable")]

@@ -94,9 +94,10 @@ class MeshRoom(Gridded):
 
     @override
     def contains(self, points: FloatArray) -> BoolArray:
-        """See `Space.contains`; places where landmarks are allowed always count as inside.
+        """Mask of the points `(..., 3)` in the closed room, `(...)`.
 
-        This holds even if all lines from such a place to the nodes of `Scan.interior` are blocked.
+        A point is inside if a clear line joins it to a nearby node of the graph `Scan.interior`. Places where landmarks
+        are allowed are always inside.
         """
         low, high = self.bounds()
         within = (points >= low - PLACEMENT_TOLERANCE) & (points <= high + PLACEMENT_TOLERANCE)

@@ -37,7 +37,7 @@ def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) ->
 
     Args:
         size: lengths along x, y and z, metres.
-        makes: beginning of the message, which states the cause.
+        makes: beginning of the message, the cause, which comes before `a room of 3 x 4 x 2.5 m`.
         hint: end of the message, which states the remedy.
         argument: name of the argument that the error reports.
     """
@@ -201,10 +201,11 @@ BEYOND_SURFACE_M = 0.05
 class KeepOut(Checked):
     """Part of a surface that must stay free of landmarks, such as a door, a window or a screen.
 
-    Left and below are as seen by a viewer who faces a wall with z up, or the floor or ceiling with y up.
+    The part is given by distances from the left and the lower edge of its surface. A viewer sees these edges at the
+    left and below if the viewer faces a wall with z up, or the floor or ceiling with y up.
 
     Raises:
-        InputError: the part is empty, or neither both spans nor the corners are given.
+        InputError: the part is empty, or the arguments are neither both spans nor only the corners.
     """
 
     surface: str
@@ -239,7 +240,7 @@ class KeepOut(Checked):
 
     @property
     def ring(self) -> FloatArray:
-        """Vertices (from left, from below), metres, `(N, 2)`."""
+        """Vertices of the part, `(N, 2)`: distances from the left and from the lower edge of its surface, metres."""
         if self.corners is not None:
             return np.array(self.corners)
         assert self.from_left is not None

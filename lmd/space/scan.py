@@ -102,7 +102,10 @@ class Scan(Checked):
 
     @cached_property
     def triangles(self) -> Triangles:
-        """All triangles, with a tolerance greater than the unevenness of any patch."""
+        """All triangles of the mesh, as obstacles to lines of sight.
+
+        Their tolerance, see `Triangles`, is greater than the unevenness of any patch.
+        """
         uneven = [plane_of(self._corners[part])[1] for part in self._patches.values()]
         return Triangles.of(self.mesh.vertices, self.mesh.faces, PLACEMENT_TOLERANCE + max(uneven))
 
@@ -199,7 +202,7 @@ class Scan(Checked):
         return surface if front >= back else surface_of(name, corners, 0.0 - normal)
 
     def _free(self, surface: Surface) -> Any:
-        """Allowed region of a patch; None if no square of `least_area` fits."""
+        """Allowed region of a patch; None if the region has no place for a square of the area `least_area`."""
         standing = standing_on(surface, np.delete(self._corners, self._patches[surface.name], axis=0), FREE_BEFORE_M)
         taken = [_area_of(standing), *(part.region(surface) for part in self._kept_out(surface))]
         region = self._inside(surface, free_of(surface, _shape(surface), self.margin, self.band, taken), standing)
@@ -209,11 +212,11 @@ class Scan(Checked):
         return [part for part in self.keep_out if part.surface == surface.name]
 
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
-        """Part of a patch's region that borders on the inside of the room.
+        """Part of a patch's allowed region that borders on the inside of the room.
 
-        Parts of the region below the floor, beyond a wall or in furniture are excluded. Triangles that stand on the
-        patch at a right angle divide the region into cells; strips narrower than 2 `FREE_BEFORE_M` are ignored. No
-        triangle crosses a cell, so the whole cell is inside the room if any of its points is inside.
+        Parts below the floor, beyond a wall or in furniture are excluded. Triangles that stand on the patch at a right
+        angle divide the region into cells. A cell is inside the room if any of its points is inside, as no triangle
+        crosses a cell. Strips narrower than 2 `FREE_BEFORE_M` are ignored.
         """
         import shapely
 
@@ -239,7 +242,10 @@ class Scan(Checked):
 
     @cached_property
     def edges(self) -> FloatArray:
-        """Edges for drawings: sharp edges, and borders of the mesh; at most the `MOST_EDGES` longest, `(M, 2, 3)`."""
+        """Edges of the mesh for drawings, `(M, 2, 3)`: sharp edges, and edges of only one triangle.
+
+        At most the `MOST_EDGES` longest edges are returned.
+        """
         triangles, corners = self.triangles, self.triangles.corners
         ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
         turn = (triangles.beyond * triangles.normals[:, None]).sum(axis=-1).reshape(-1)
@@ -275,7 +281,7 @@ class Scan(Checked):
         return [surface.point(*part.ring.T) for surface in surfaces for part in self._kept_out(surface)]
 
     def keeps_away(self, points: FloatArray, clearance: float) -> BoolArray:
-        """Mask of the points `(..., 3)` at least `clearance`, metres, from all `solids`, `(...)`."""
+        """Mask of the points `(..., 3)` that are at least `clearance`, metres, from walls and objects, `(...)`."""
         if self.solids is None or not clearance:
             return np.ones(points.shape[:-1], dtype=np.bool_)
         return self.solids.distance(points, clearance) >= clearance - PLACEMENT_TOLERANCE

@@ -116,7 +116,7 @@ class Space(Protocol):
     def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
         """For each landmark `(K, 3)`, index of the surface to which it belongs, `(K,)`; -1 if no surface is near.
 
-        See `lmd.space.surface.surface_near`.
+        This is the nearest surface, preferably with a similar normal, see `lmd.space.surface.surface_near`.
         """
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
@@ -131,7 +131,7 @@ class Space(Protocol):
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """Mask of the straight lines between pairs of points `(..., 3)` of the room that are not blocked, `(...)`.
 
-        Reference for the compiled kernels.
+        Compiled kernels must give equal results.
         """
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
@@ -141,7 +141,7 @@ class Space(Protocol):
         """
 
     def faces(self) -> tuple[Surface, ...]:
-        """Visible faces of the room, with and without landmarks; `allowed` of a face is its visible region."""
+        """Faces of the room, with and without landmarks; parts that no camera can see may be included."""
 
     def grid(self) -> FloatArray:
         """Discrete positions Omega_d of the camera, `(P, 3)`."""
@@ -168,7 +168,8 @@ class Space(Protocol):
     def outline(self) -> Mapping[str, FloatArray]:
         """Edges of the parts of the room by name, for drawings, `(M, 2, 3)` each.
 
-        Names are `room` and `reachable area`, and optionally `obstacles` and `nothing hangs here`.
+        Names are `room` and `reachable area`, and optionally `obstacles` and `nothing hangs here` (places without
+        landmarks).
         """
 
     def fixtures(self) -> Sequence[Fixture]:
@@ -240,9 +241,10 @@ def check_inside(trajectory: Trajectory, room: Space) -> None:
 def check_file_inside(
     path: str | None, trajectory: Trajectory, room: Space, check: Callable[[Trajectory, Space], None] = check_positions
 ) -> None:
-    """Raise `InputError`, with the path of the file, if the trajectory of the file `path` fails the test `check`.
+    """Raise `InputError` if the trajectory from the file `path` fails the test `check`.
 
-    If most of the trajectory is outside the room, the message suggests `align`: the file may use another frame.
+    The message names the file. If most of the trajectory is outside the room, the file may use another frame. The
+    message then suggests the argument `align`, the pose of the file's frame in the room.
     """
     try:
         check(trajectory, room)

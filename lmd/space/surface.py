@@ -194,14 +194,16 @@ def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: Fl
 
 
 def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | None, taken: Sequence[Any]) -> Any:
-    """Region of a face in which landmarks are allowed: a shapely geometry, possibly empty, in the face's coordinates
-    (a, b), metres.
+    """Region of a surface in which landmarks are allowed, a shapely geometry, possibly empty.
+
+    Regions have the coordinates (a, b) of the surface, metres.
 
     Args:
         face: surface.
-        region: part of the bounding rectangle that belongs to the face, a shapely polygon.
-        margin: distance from the edges of the region and of `taken` along u and v, metres.
-        band: lowest and highest z on an upright face, metres.
+        region: part of the bounding rectangle that belongs to the surface, a shapely polygon.
+        margin: least distance from the edges of `region` and `taken`, measured along the surface's u and along its v,
+            metres.
+        band: lowest and highest z on an upright surface, metres.
         taken: regions that exclude landmarks.
     """
     import shapely
@@ -287,10 +289,12 @@ class SurfaceArrays(NamedTuple):
         return out.reshape(at.shape), piece.reshape(at.shape[:-1])
 
     def allow(self, surface: IntArray, at: FloatArray, tolerance: float = EDGE_TOLERANCE) -> BoolArray:
-        """Mask of the places in the allowed region of their surface, or at most `tolerance`, metres, outside, `(...)`.
+        """Mask of the places that are in the allowed region of their surface, `(...)`.
 
-        `surface` `(...)` has the index of the surface of each place, and `at` `(..., 2)` the coordinates on this
-        surface.
+        Args:
+            surface: index of the surface of each place, `(...)`.
+            at: coordinates (a, b) of each place on its surface, metres, `(..., 2)`.
+            tolerance: distance outside the region at which a place still counts, metres.
         """
         return np.asarray(np.abs(self.nearest(surface, at)[0] - at).max(axis=-1) <= tolerance)
 

@@ -30,15 +30,15 @@ LEAF, SMALL = 4, 48
 def box_tree(
     low: FloatArray, high: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-    """Build a hierarchy over T boxes that approximately minimises the expected cost of a ray.
+    """Build a hierarchy of boxes over T boxes, in which the search for the boxes on a ray is fast.
 
     Args:
-        low: lower corners of the boxes, `(T, 3)`.
-        high: upper corners of the boxes, `(T, 3)`.
+        low: lower corners of the T boxes, `(T, 3)`.
+        high: upper corners of the T boxes, `(T, 3)`.
 
     Returns:
-        order: permutation of the given boxes, `(T,)`.
-        centres, halves: centres and half the side lengths of the N nodes of the hierarchy, `(N, 3)` each.
+        order: permutation of the T boxes, `(T,)`.
+        centres, halves: centres and half the side lengths of the N boxes (nodes) of the hierarchy, `(N, 3)` each.
         skip: for each node, index of the first later node that is not inside this node, `(N,)`.
         first, stop: the boxes `order[first:stop]` belong to a node, `(N,)` each; only leaves have boxes.
     """
@@ -73,8 +73,10 @@ def box_tree(
 
 
 def _cut(part: IntArray, low: FloatArray, high: FloatArray, middle: FloatArray) -> Sequence[IntArray]:
-    """Cut a set of boxes into two parts by the surface area heuristic (MacDonald and Booth, 1990). A set of at most
-    `SMALL` boxes is cut at the median instead.
+    """Cut a set of boxes into two parts by the surface area heuristic (MacDonald and Booth, 1990).
+
+    A set of at most `SMALL` boxes is cut at the median instead. `part` are the indices of the boxes; `middle` are twice
+    all centres.
     """
     if len(part) <= SMALL:
         part = part[np.argsort(middle[part, np.argmax(np.ptp(middle[part], axis=0))], kind="stable")]
@@ -94,7 +96,7 @@ def _cut(part: IntArray, low: FloatArray, high: FloatArray, middle: FloatArray) 
 
 
 def _areas(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Half the surface areas of boxes with corners `low` and `high` `(M, 3)`, `(M,)`."""
+    """Half the surface area of each of M boxes, `(M,)`; `low` and `high` `(M, 3)` are corners of the boxes."""
     x, y, z = (high - low).T
     return np.asarray(x * y + y * z + z * x)
 
@@ -106,7 +108,10 @@ THINNEST_M = 1e-7
 
 
 class Triangles(NamedTuple):
-    """T triangles and the N boxes of their hierarchy, in the order of a depth-first traversal; metres."""
+    """T triangles of a mesh, and the N boxes of a hierarchy in which triangles are searched; metres.
+
+    Boxes are in the order of a depth-first traversal. Triangles are in the order of the boxes that contain them.
+    """
 
     normals: np.ndarray
     """Unit normals, `(T, 3)`."""
@@ -214,9 +219,10 @@ def unit_normals(corners: FloatArray) -> FloatArray:
 
 
 def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
-    """Compute `Triangles.beyond`: the unit normal of the adjacent triangle at each edge, `(T, 3, 3)`.
+    """Compute `Triangles.beyond`: for each edge of each triangle, the unit normal of the triangle next to it.
 
-    If more than two triangles share an edge, each of them is its own neighbour there.
+    The axes of the result `(T, 3, 3)` are triangle, edge and coordinate. If more than two triangles share an edge, each
+    of them gets its own normal there.
     """
     count = len(faces)
     edge = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)

@@ -41,7 +41,7 @@ class Stretch(NamedTuple):
 
 
 class ReadPlan(NamedTuple):
-    """Floor plan in a file."""
+    """Floor plan that was found in a file, such as a drawing or a map."""
 
     rings: Sequence[FloatArray]
     """Vertices of the outline and of the holes, counter-clockwise, metres, `(N, 2)` each."""
@@ -64,7 +64,7 @@ class ReadPlan(NamedTuple):
             openings: function that takes an edge `(2, 2)`, and returns start, end and name of each part of the edge
                 that may not carry landmarks.
             scale: text that states the unit of the file, for messages.
-            clauses: clauses of `note`; empty clauses are left out.
+            clauses: remarks, which are joined to one sentence in the field `note`; empty remarks are left out.
         """
         rings = [
             np.array(ring.coords[:-1]) for ring in (polygon.exterior, *(hole.reverse() for hole in polygon.interiors))
@@ -105,7 +105,7 @@ def plan_of(path: str, drawing: Drawing, gap: float, start: Sequence[float] | No
         start: point inside the room, metres; None for the largest region.
 
     Raises:
-        InputError: walls enclose no room.
+        InputError: walls enclose no room, or there are too many lines.
     """
     import shapely
 
@@ -214,7 +214,7 @@ def _openings(edge: FloatArray, near: Any, boxes: list[tuple[str, Any]]) -> Iter
     """Yield start, end and name of each part of an edge that has no wall, or that has a door or window.
 
     Start and end are distances from the first vertex of the edge, metres. `near` is the area near the lines of walls,
-    and `boxes` are those of `Drawing`.
+    and `boxes` are the named boxes of doors and windows, see `Drawing.boxes`.
     """
     import shapely
 

@@ -1,4 +1,7 @@
-"""Score entries to the suite: `python -m lmd.suite ENTRY.yaml ...` prints the record of each entry as YAML."""
+"""Command that scores solutions of the suite's problems: `python -m lmd.suite ENTRY.yaml ...`.
+
+Each ENTRY.yaml contains a solution (`lmd.suite.records`); the command prints the file's data and the score as YAML.
+"""
 
 import sys
 

@@ -16,13 +16,16 @@ IMPOSSIBLE = -1.0
 
 
 class BlackBox:
-    """Problem as a function of genes in the unit box, to be maximised; values are in [0, 1] or `IMPOSSIBLE`.
+    """Problem as a function of genes, to be maximised.
+
+    Genes are numbers in [0, 1] that encode a deployment or cameras. Values of the function are in [0, 1], or
+    `IMPOSSIBLE` for tags that do not find room or cameras that are not admissible.
 
     Args:
         problem: the problem.
         name: name of the problem in messages and records.
-        encoding: encoding of landmarks, see `lmd.optimisers.encoding.make_encoding`; ignored if the problem has its own
-            genome.
+        encoding: encoding of landmarks, see `lmd.optimisers.encoding.make_encoding`; ignored if the problem places
+            cameras.
 
     Raises:
         InputError: the encoding is unknown.

@@ -79,7 +79,7 @@ class Document(Checked):
 
 
 def names(which: str = "full") -> list[str]:
-    """Names of the problems of a set, sorted.
+    """Names of the problems in the set `which` (`small` or `full`, which has all problems), sorted.
 
     Raises:
         InputError: the set is unknown.
@@ -118,14 +118,14 @@ def _frozen(name: str) -> Document:
 
 
 def with_paths(node: Any) -> Any:
-    """Copy the config nodes of a problem, with full paths of files and present names of classes (`MOVED`)."""
+    """Copy the config nodes of a problem, with full paths of files, and with new names of renamed classes (`MOVED`)."""
     return _changed(node, {FILE: lambda file: str(FOLDER / file), TARGET: lambda target: MOVED.get(target, target)})
 
 
 def _changed(node: Any, change: Mapping[str, Callable[[str], str]]) -> Any:
-    """Copy the config nodes of a problem with changed values.
+    """Copy the config nodes of a problem, and convert the values of the keys in `change`.
 
-    `change` has the keys whose values change, each with a function that converts the old value to the new value.
+    `change` has a function for each of these keys, which returns the new value from the old value.
     """
     if isinstance(node, Mapping):
         return {

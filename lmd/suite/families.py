@@ -1,9 +1,8 @@
 """Families of problems: each problem of the suite has random variants, its numbered "instances".
 
-The name of the problem and the number of the instance determine the instance.
-
-In an instance the room, the camera, the number of landmarks, the size of the tags and the numbers of the objective are
-drawn from the distributions in `draws.yaml`. Instance 0 is the frozen problem.
+The room, the camera, the number of landmarks, the size of the tags and the parameters of the objective of an instance
+are drawn from the distributions in `draws.yaml`. The name of the problem and the number of the instance are the seed.
+Instance 0 is the problem itself, without changes.
 """
 
 import copy
@@ -49,7 +48,7 @@ def drawn(nodes: Mapping[str, Any], family: str, instance: int) -> dict[str, Any
 
     Args:
         nodes: config nodes of the frozen problem.
-        family: name of the frozen problem, which seeds the draws together with the instance.
+        family: name of the frozen problem; this name and `instance` are the seed of the random draws.
         instance: number of the instance, from 1 on.
     """
     rng = np.random.default_rng([zlib.crc32(family.encode()), instance])
@@ -99,8 +98,8 @@ def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
 def _changed(value: Any, operation: str, by: Any) -> Any:
     """Return a number, a vector or a list of vectors, multiplied by `by` (operation `times`) or increased by `by`.
 
-    `by` is one number, or one number for each axis. A whole number stays whole; other numbers are rounded to `DIGITS`
-    significant digits.
+    `by` is one number, or one number for each coordinate of a vector. An integer stays an integer; other numbers are
+    rounded to `DIGITS` significant digits.
     """
     numbers = np.array(value)
     each = by[: numbers.shape[-1]] if np.ndim(by) else by

@@ -28,8 +28,8 @@ def problem(name: str, threads: int | None = 1, instance: int = 0) -> BlackBox:
 
     Args:
         name: one of `names()`, or the name of an instance, such as `tiny_mean-3`.
-        instance: number of an instance of the family `name`; 0 is the frozen problem. Instances from 1000 on are held
-            out, see `lmd.suite.families`.
+        instance: number of a random variant of the problem `name`, see `lmd.suite.families`; 0 is the problem itself.
+            No optimiser is tuned on instances from 1000 on (held-out instances).
         threads: number of worker threads; None for all processors. The values do not depend on this number.
 
     Raises:

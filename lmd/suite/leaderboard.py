@@ -66,9 +66,10 @@ def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
 
 
 def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[OptimiserRun]]:
-    """Runs in two groups: `development` and `held-out` instances of the problems, keyed by these names.
+    """Divide runs into two groups, and return them keyed by the group's name: `development` and `held-out`.
 
-    If all runs belong to one group, they have an empty name as their key.
+    A run is in the group `held-out` if its problem is an instance on which no optimiser is tuned. If all runs belong to
+    one group, the key of this group is an empty string.
     """
     is_held_out = [instance_of(run.problem) >= HELD_OUT for run in runs]
     if len(set(is_held_out)) == 1:
@@ -78,12 +79,12 @@ def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[Optim
 
 
 def _section(held: Tournament, label: str, frozen: "Mapping[str, Document]") -> list[str]:
-    """Markdown blocks about a tournament by one metric: its table, and its tests below the table.
+    """Markdown paragraphs about the results of optimisers by one metric: a table, and statistical tests below.
 
-    The table has a column of proven bounds only for the fitness.
+    If the metric is the fitness, the table also has a column with proven upper bounds.
 
     Args:
-        held: the tournament.
+        held: tournament with the results.
         label: label of the metric.
         frozen: documents of the problems, keyed by name.
     """
@@ -126,10 +127,10 @@ def _cell(value: float, greatest: float) -> str:
 
 
 def write_runs(folder: Path, results: Runs, boxes: "Mapping[str, BlackBox]") -> None:
-    """Write all runs in IOHprofiler's format; `folder` is replaced.
+    """Write all runs in IOHprofiler's format to `folder`.
 
-    The folder has a folder for each budget, which contains a folder for each optimiser. `boxes` are the problems, keyed
-    by name.
+    The previous content of the folder is deleted. There is a subfolder for each budget, with a subfolder for each
+    optimiser. `boxes` are the problems, keyed by name.
     """
     numbers = {name: number for number, name in enumerate(names(), 1)}
     shutil.rmtree(folder, ignore_errors=True)

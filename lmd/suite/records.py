@@ -1,11 +1,9 @@
-"""Entries to the suite (candidates with their origin), and records (entries with the score of their candidate).
+"""Entries to the suite (solutions with their origin), and records (entries with the score of the solution).
 
-The NumPy reference computes the scores.
-
-An entry is a YAML file with the keys of `ENTRY`. The `candidate` is a list of genes, or the name of a file in the same
-folder: a rig file if the problem places cameras, else a table of landmarks. For two objectives, the candidate is a
-Pareto front: the column `point` of the table has the number of the point on the front to which a landmark belongs.
-`problems/best` has the best known candidates.
+An entry is a YAML file with the keys of `ENTRY`. Its `candidate` is a list of genes, or the name of a file in the
+folder of the entry: a rig file if the problem places cameras, else a table of landmarks. For two objectives, the
+candidate is a Pareto front with a deployment for each point: the column `point` of the table has the number of the
+point to which a landmark belongs. `problems/best` has the best known candidates and their records.
 """
 
 import datetime
@@ -39,15 +37,16 @@ POINT = "point"
 
 
 def verify(path: str | Path) -> dict[str, Any]:
-    """Compute the score of an entry by the NumPy reference; a score that the file already contains is ignored.
+    """Compute the score of an entry (a solution with its origin); a score that the file already contains is ignored.
 
     Args:
         path: file of the entry, or of a record, whose score is computed again.
 
     Returns:
-        the record: the entry with further keys, such as `version` and `hash` of the problem, and `scorer`. `value` is
-        the fitness or, for two objectives, the hypervolume between the origin and the front. `off_grid` is the main
-        metric (headline) off the grid, None for a front.
+        the record: the keys of the entry, the `version` and `hash` of the problem, the `scorer` (version of this
+        program), and the score. The score consists of `value` and `off_grid`. `value` is the fitness, computed without
+        compiled code; for a front of two objectives it is the area (hypervolume) between the origin and the front.
+        `off_grid` is the main metric at random poses instead of the grid; None for a front.
 
     Raises:
         InputError: the file cannot be read, a key is missing, the problem is unknown, or the candidate does not belong

@@ -53,10 +53,8 @@ class SeveralObjectives(BlackBox):
 class TagChoice(BlackBox):
     """Problem in which tags may be left out, with two objectives: the fitness, and the fraction of the tags left out.
 
-    The fraction is of the number of tags, or of the total area of their paper.
-
-    Each tag has an additional gene: the tag is hung if this gene is at least `HUNG`. A candidate that hangs no tag has
-    the fitness 0.
+    The fraction is a fraction of the number of tags, or of the total area of their paper. Each tag has an additional
+    gene in [0, 1]: the tag is hung if this gene is at least `HUNG`. A candidate without hung tags has the fitness 0.
 
     Args:
         problem: problem in which all tags are hung.
@@ -116,7 +114,7 @@ class TagChoice(BlackBox):
         return np.array([IMPOSSIBLE, 0.0]) if deployment is None else self.values_of(deployment)
 
     def _hung(self, row: FloatArray) -> Deployment | None:
-        """Tags that the candidate with the genes `row` `(d,)` hangs, after overlapping tags are pushed apart.
+        """Deployment of the hung tags of a candidate with the genes `row` `(d,)`; overlapping tags are pushed apart.
 
         None if no tag is hung, or if there is no room for the tags.
         """

@@ -6,8 +6,8 @@
    alike (IPPE). For each part the smoothest sequence of these poses is found (Viterbi).
 3. Each part is adjusted by itself, with links of motion between its own frames; this also estimates the noise of the
    motion model (its *spread*).
-4. Two frames of different parts that are near in time give a relation, the relative pose of the parts. Parts are joined
-   by relations, in the order of decreasing numbers of frames that agree (maximum spanning tree).
+4. A *relation* is the relative pose of two parts. It is measured by pairs of frames, one of each part, that are near in
+   time. Relations join the parts, those with most agreeing frames first (maximum spanning tree).
 """
 
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
 
     Args:
         sightings: sightings of the tags.
-        poses: rough poses; each group that images connect has a world frame of its own.
+        poses: rough poses; each group of tags that images connect has a world frame of its own.
         group: index of each tag's group, `(K,)`; -1 for tags without a group.
         prior: prior of the unknowns, with a motion model.
 
@@ -91,12 +91,12 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
 
 
 def _parts(sightings: Sightings, poses: Poses, group: IntArray, known: BoolArray) -> IntArray:
-    """Divide the tags into parts: tags that several images show together. Other tags are parts by themselves.
+    """Divide the tags into parts: groups of tags that several images show together. Other tags are parts by themselves.
 
     Args:
         sightings: sightings of K tags.
         poses: rough poses of tags and frames.
-        group: index of the group that images connect, for each tag, `(K,)`; -1 for tags without a group.
+        group: index of the larger group of tags that images connect, for each tag, `(K,)`; -1 for tags without a group.
         known: mask of the tags with a prior, `(K,)`; a group with such a tag stays one part.
 
     Returns:
@@ -118,8 +118,8 @@ def _parts(sightings: Sightings, poses: Poses, group: IntArray, known: BoolArray
 
 
 def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
-    """Adjust each part by itself. Return the adjusted poses of the nodes (pairs of a frame and a part), and the motion
-    model with the noise (spread) estimated from all parts.
+    """Adjust each part (group of tags) by itself. Return the adjusted poses of the nodes (pairs of a frame and a part),
+    and the motion model with the noise (spread) estimated from all parts.
     """
     some, motion = nodes.sightings, nodes.motion
     of_tag = np.full(len(poses.tags), -1)
@@ -135,11 +135,11 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
 
 
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
-    """Join parts by relative poses (relations) that imply no leap, a sudden change of the body's pose.
+    """Join parts (groups of tags) by relations, that is, estimated relative poses of two parts.
 
-    A leap between two joined parts has one of two causes. If the leaping frames of a part are fewer than the frames
-    that support the weakest relation between the parts, the leaping frames were misread; otherwise the relation is
-    wrong.
+    The body must not leap, that is, move too far, from a frame of one part to a later frame of another. If frames with
+    leaps are fewer than the frames that agree on the weakest relation between the two parts, the ids of tags in these
+    frames were misread. Otherwise this relation is wrong, and is removed.
 
     Args:
         nodes: nodes (pairs of a frame and a part), with the motion between the nodes.
@@ -178,16 +178,17 @@ def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray
 
 
 def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, IntArray, IntArray]:
-    """Join parts into common worlds by a spanning tree of the `relations`, of which earlier ones take precedence.
+    """Join parts (groups of tags) into common worlds by a spanning tree of the `relations`. A relation is used if
+    earlier relations do not join its two parts.
 
     Args:
         count: number P of parts.
-        relations: relative poses of pairs of parts.
+        relations: relative poses of pairs of parts, the most reliable first.
 
     Returns:
         rigid motions from the world frames of the parts to common world frames, `(P, 4, 4)`; index of the common world
-        of each part, `(P,)`; index of the relation that first joined each pair of parts, which is the weakest relation
-        between the two, `(P, P)`, -1 for pairs that are not joined.
+        of each part, `(P,)`; for each pair of parts, index of the relation that joined them, `(P, P)`, -1 for pairs
+        that are not joined. This relation is the weakest between the two parts.
     """
     worlds, joined = np.tile(np.eye(4), (count, 1, 1)), np.arange(count)
     joined_by = np.full((count, count), -1)
@@ -202,8 +203,8 @@ def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, Int
 
 
 def _relations(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: FloatArray) -> list[Relation]:
-    """Relations (relative poses) of all pairs of parts that have frames near in time. Those on which most frames agree
-    come first.
+    """Relations (relative poses) of all pairs of parts that have frames near in time. A part is a group of tags. The
+    relations on which most frames agree come first.
 
     Args:
         nodes: nodes (pairs of a frame and a part), with the motion between the nodes of each part.

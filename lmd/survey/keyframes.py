@@ -30,7 +30,8 @@ def select_keyframes(detected: DetectedTags, every: int | None = None) -> Detect
 
     Args:
         detected: detections in all frames.
-        every: n to keep every n-th frame with tags, from the first frame; None to select as described in this module.
+        every: n to keep every n-th frame with tags, from the first frame. None to keep about five frames per second,
+            and the frames that connect the map.
     """
     order = np.argsort(detected.frame, kind="stable")
     frames, begins = np.unique(detected.frame[order], return_index=True)
@@ -46,8 +47,8 @@ def select_keyframes(detected: DetectedTags, every: int | None = None) -> Detect
 
 
 def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
-    """Mask of the keyframes among n frames, `(n,)`. `seconds` `(n,)` has the times of the frames; `shown` has an array
-    for each frame, with the ids of the tags that it shows.
+    """Mask of the keyframes (frames from which a map is made) among n frames, `(n,)`. `seconds` `(n,)` has the times of
+    the frames; `shown` has an array for each frame, with the ids of the tags that it shows.
     """
     kept = _evenly(seconds, _at_changes(seconds, shown))
     together = [set(combinations_with_replacement(tags.tolist(), 2)) for tags in shown]
@@ -60,8 +61,8 @@ def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
 
 
 def _evenly(seconds: FloatArray, needed: BoolArray) -> BoolArray:
-    """Mask of the keyframes among n frames, `(n,)`: the `needed` frames, and as few others as possible. Neighbouring
-    keyframes are at most `LONGEST` seconds apart, unless no frame lies between them.
+    """Mask of the keyframes among n frames, `(n,)`: the `needed` frames, and few others. Frames are added such that
+    neighbouring keyframes are at most `LONGEST` seconds apart, where the video has frames in between.
     """
     kept, since = np.ones(len(seconds), dtype=bool), np.nan
     for k, following in enumerate(np.append(seconds[1:], np.inf)):
@@ -73,7 +74,9 @@ def _evenly(seconds: FloatArray, needed: BoolArray) -> BoolArray:
 
 
 def _at_changes(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
-    """Mask of the frames that are close to a moment at which all tags in view change, `(n,)`."""
+    """Mask of the frames that are close in time to a change of all tags in view, `(n,)`. At such a change, two
+    successive frames show no common tag.
+    """
     at = np.array([k for k in range(len(shown) - 1) if not np.intersect1d(shown[k], shown[k + 1]).size], dtype=int)
     moments = np.sort(np.concatenate([seconds[at], seconds[at + 1]]))
     first = np.searchsorted(moments, seconds - SHORTEST_GAP)

@@ -100,7 +100,7 @@ class Boards(Checked):
         return cls(tuple(table.texts["board"]), Labels.of(table, ()).ids, rows[:, 1:], printed)
 
     def among(self, ids: IntArray) -> Sheets:
-        """Sheets, reduced to the tags whose ids are among `ids` `(K,)`, ascending."""
+        """Sheets with only those tags whose ids are among `ids` `(K,)`, which are ascending."""
         _, of, own = np.intersect1d(ids, self.ids, return_indices=True)
         places = np.hstack([self.places[own], np.zeros((len(own), 1))])
         board = np.unique(self.names, return_inverse=True)[1][own]
@@ -110,7 +110,7 @@ class Boards(Checked):
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """Knowledge that the user has before the survey; an optional attribute is None if it is unknown.
+    """Knowledge that the user has before the survey. An optional attribute is None if the user lacks this knowledge.
 
     Raises:
         InputError: an edge length in `sizes` is not a number above 0.
@@ -167,8 +167,8 @@ class PriorKnowledge:
         return nothing if self.plan is None else _among(ids, self.plan.ids, poses_of(self.plan))
 
     def prior(self, ids: IntArray) -> Prior:
-        """Prior on the poses of the tags `ids` `(K,)`, ascending; the pose of a fixed tag overrides its measured
-        centre, which overrides its planned pose.
+        """Prior on the poses of the tags `ids` `(K,)`, ascending. A measured centre replaces the planned position of a
+        tag; the pose of a fixed tag replaces both.
         """
         tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
         planned = np.isfinite(self.planned(ids)[:, 0, 0])
@@ -186,8 +186,8 @@ class PriorKnowledge:
 
 
 def _among(ids: IntArray, known: IntArray, values: FloatArray) -> FloatArray:
-    """Values for the tags `ids`, `(K, ...)`, taken from the `values` `(n, ...)` of the tags with the ids `known`; NaN
-    for other tags.
+    """Values of the tags `ids`, `(K, ...)`; NaN for tags that are not in `known`. `values` `(n, ...)` has the values of
+    the tags with the ids `known` `(n,)`.
     """
     found = np.full((len(ids), *values.shape[1:]), np.nan)
     _, of, own = np.intersect1d(ids, known, return_indices=True)

@@ -30,7 +30,7 @@ TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-cloc
 
 
 def _tags(poses: FloatArray, ids: IntArray, counts: IntArray, edges: FloatArray) -> Deployment:
-    """Deployment of tags with given poses, ids, edge lengths, and numbers of inliers, `counts`."""
+    """Deployment of tags with given poses, ids and edge lengths. `counts` has the number of inliers of each tag."""
     labels = Labels(ids, {SIGHTINGS: [str(count) for count in counts.tolist()]})
     places = poses[:, :3, 3]
     surveyed = Surveyed(places, places, poses[:, :3, 1])
@@ -58,9 +58,9 @@ def measured_of(survey: Survey) -> Deployment | None:
 
 
 def map_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Columns of `map.csv`, among them ids, poses and edge lengths of the tags. The column `sigma` is the standard
-    deviation of the position relative to the other tags, metres. The last columns are covariances of positions, m^2,
-    and rotations, rad^2, in the world frame.
+    """Columns of `map.csv`: ids, poses, edge lengths, numbers of inliers, `sigma` and covariances of the tags. `sigma`
+    is the standard deviation of the position relative to the other tags, metres. The covariances are those of
+    positions, m^2, and rotations, rad^2, in the world frame.
     """
     tags, found, placed = map_of(survey), survey.found, survey.placed
     vectors = np.hstack([tags.places, tags.normals, tags.ups])
@@ -75,7 +75,7 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Ids `(n,)`, positions `(n, 3)`, metres, and joint covariance `(6 n, 6 n)` of the tags of `map.csv`. The
+    """Ids `(n,)`, positions, metres, `(n, 3)`, and joint covariance `(6 n, 6 n)` of the tags of `map.csv`. The
     covariance is that of the twists of these tags relative to each other.
     """
     found = survey.found
@@ -97,7 +97,8 @@ def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Columns of the table of all tags: state, numbers of sightings, and displacement from the planned pose.
+    """Columns of the table of all tags: state, numbers of sightings, and displacement from the planned pose. The state
+    is `placed`, or the reason why the tag is not in the map.
 
     The displacement has the columns `right`, `up` and `out`, metres in the tag's frame, and `tilt_x`, `tilt_y` and
     `turn`, rad about the axes of this frame. The column `sigma` is the standard deviation of the position relative to
@@ -144,7 +145,9 @@ def metrics(survey: Survey) -> dict[str, float]:
 
 
 def survey_document(survey: Survey) -> dict[str, Any]:
-    """Content of the file `survey.json`: metrics, doubts, cameras, motion, and a row for each tag."""
+    """Content of the file `survey.json`: metrics, doubts (sentences for the user), cameras, motion, and a row for each
+    tag.
+    """
     found, ids, columns, motion = survey.found, survey.ids, tag_columns(survey), survey.found.prior.motion
     return {
         "figures": metrics(survey),
@@ -193,7 +196,7 @@ def to_text(survey: Survey) -> str:
 
 
 def _troubles(survey: Survey) -> dict[str, str]:
-    """Texts on faulty tags, keyed by kind of trouble; the text is empty for kinds that do not occur."""
+    """Texts about faulty tags, keyed by kind of fault, such as `moved`; the text is empty if no tag has the fault."""
     ids, found, faults, shown = survey.ids, survey.found, survey.faults, survey.found.sightings.counts() > 0
     unplanned = survey.placed & ~np.isin(ids, survey.known.ids) & (survey.known.plan is not None)
     moved = [(ids[one.tag], one.moved) for one in faults.second_places]

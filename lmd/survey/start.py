@@ -1,12 +1,14 @@
 """Initialisation: rough poses of tags and frames are found one after the other.
 
-A single tag has two poses in front of a camera that look alike (IPPE). A group of tags begins with the frame that shows
-the most tags whose pose is beyond doubt. Then two steps alternate: frames that show two or more placed tags are placed,
-and tags that placed frames show are placed. The sightings of a frame or tag propose poses. The likeliest is refined,
-and is accepted if enough sightings agree with it. When no frame or tag can be placed this way, the likeliest single
-sighting places a tag or frame. At the end all tags and frames with large errors are tried again. Placed tags and frames
-are adjusted as their number grows. Tags that no frame connects with the group begin another group, in a world of its
-own.
+A single tag has two poses in front of a camera that look alike (IPPE). Often one of the two is far likelier; the pose
+of the tag is then *beyond doubt*. A group of tags begins with the frame that shows the most tags whose pose is beyond
+doubt. Tags and frames are *placed* when they get a pose. Two steps alternate: frames that show two or more placed tags
+are placed, and tags that placed frames show are placed. The sightings of a frame or tag propose poses. The likeliest
+pose is refined, and is accepted if enough sightings agree with it.
+
+When no frame or tag can be placed this way, the likeliest single sighting places a tag or frame. At the end all tags
+and frames with large errors are tried again. Placed tags and frames are adjusted as their number grows. Tags that no
+frame connects with the group begin another group, in a world of its own.
 
 With a plan, initialisation starts with the tags at their planned poses, and is accepted if nearly all sightings agree
 with the poses. As detectors may number the corners from another corner, initialisation with a plan is tried with each
@@ -66,7 +68,8 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
 
 
 def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int | None) -> tuple[Poses, IntArray, Prior]:
-    """Move initial poses into the world frame of the prior, and join groups of tags by motion.
+    """Move initial poses into one world frame, which the prior of the tags defines. If the prior has a motion model,
+    groups of tags that no image connects are first joined by the motion between frames.
 
     Args:
         sightings: sightings of the tags.
@@ -75,8 +78,8 @@ def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int |
         origin: id of the tag whose frame is the world if no tag has a prior; None for the tag seen most often.
 
     Returns:
-        initial poses with one body for all cameras; group of each tag, `(K,)`; prior, with the estimated noise (spread)
-        of the motion model.
+        initial poses with one body for all cameras; group of each tag, `(K,)`, 0 in the world frame of the prior; prior
+        with the estimated noise (spread) of the motion model.
 
     Raises:
         InputError: a camera was never placed together with the first camera, or the prior determines no world frame.
@@ -95,7 +98,7 @@ def _check_groups(group: IntArray) -> None:
 
 
 def _mounted(sightings: Sightings, apart: Poses) -> Poses:
-    """Poses with one body for all cameras, from poses that were found with each camera as a body of its own.
+    """Poses with one body for all cameras, from poses that were found with each camera as a separate body.
 
     Args:
         sightings: sightings of the body.
@@ -116,12 +119,12 @@ def _mounted(sightings: Sightings, apart: Poses) -> Poses:
 
 
 class Placing:
-    """Placement of the tags and frames of some sightings, one after the other.
+    """Process that gives poses to (*places*) tags and frames one after the other.
 
     Args:
         sightings: sightings of one camera, see `Sightings.with_separate_cameras`.
         single: two poses of each sighting's tag in the frame of the camera.
-        is_linked: True if frames are linked by motion; single sightings are then not trusted.
+        is_linked: True if frames are linked by motion; a single sighting then places no tag or frame.
     """
 
     def __init__(self, sightings: Sightings, single: SinglePoses, is_linked: bool) -> None:
@@ -137,7 +140,7 @@ class Placing:
 
     @property
     def _placed(self) -> tuple[BoolArray, BoolArray]:
-        """Masks of the sightings whose tag is placed and of the sightings whose frame is placed, `(N,)` each."""
+        """Masks of the sightings whose tag is placed (has a pose), and of those whose frame is placed, `(N,)` each."""
         return self.poses.known_tags[self.sightings.tag], self.poses.known_frames[self.sightings.frame]
 
     def _count(self) -> int:
@@ -162,8 +165,8 @@ class Placing:
                 self._adjust(FINAL_STEPS)
 
     def _seed(self) -> bool:
-        """Begin a new group of tags with one frame; return False if there is no such frame. It is the frame that shows
-        the most unplaced tags whose pose is beyond doubt.
+        """Begin a new group of tags with one frame, and place its tags whose pose is beyond doubt. The frame is that
+        with most such tags; tags that are large in the image count more. Return False if there is no such frame.
         """
         sightings, (tag, frame) = self.sightings, self._placed
         fresh = ~tag & ~frame
@@ -179,13 +182,13 @@ class Placing:
         return True
 
     def _grow(self) -> bool:
-        """Place frames, then tags, if several sightings agree on the pose. Return False if nothing is placed."""
+        """Place frames, then tags, where several sightings agree on a pose. Return False if nothing is placed."""
         placed = [self.place(self.waiting(by_frame), by_frame) for by_frame in (True, False)]
         return any(placed)
 
     def _risk(self) -> bool:
-        """Place one tag, or else one frame, from the likeliest single sighting. Return False if no sighting is likely
-        enough.
+        """Place one tag, or else one frame, by the single sighting whose better pose is most certain. Return False if
+        no sighting is certain enough.
         """
         for by_frame in (False, True):
             waiting = self.waiting(by_frame)
@@ -204,7 +207,7 @@ class Placing:
         return np.flatnonzero(tag & ~frame if by_frame else frame & ~tag)
 
     def _retry(self) -> None:
-        """Find better poses for the tags with many large errors, then for the frames with many large errors."""
+        """Find better poses for the tags, then for the frames, in which many sightings have large errors."""
         for by_frame in (False, True):
             owner = self.sightings.frame if by_frame else self.sightings.tag
             error = squared_errors(self.sightings, self.poses)
@@ -216,7 +219,9 @@ class Placing:
             self.place(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame)
 
     def _adjust(self, steps: int) -> None:
-        """Adjust all placed tags and frames, with the first tag of each group fixed."""
+        """Improve all placed tags and frames by bundle adjustment, at most `steps` steps. The first tag of each group
+        is fixed.
+        """
         both = np.logical_and(*self._placed)
         if not both.any():
             return
@@ -251,7 +256,7 @@ def place_all(sightings: Sightings, planned: FloatArray, is_linked: bool) -> Pla
     """Place all tags and frames that can be placed; return the placement with which most sightings agree.
 
     Args:
-        sightings: sightings in which each camera is a body of its own, see `Sightings.with_separate_cameras`.
+        sightings: sightings in which each camera is a separate body, see `Sightings.with_separate_cameras`.
         planned: planned poses of tags, `(K, 4, 4)`; NaN if unknown. A placement that starts from these poses is tried
             first, and accepted if nearly all sightings agree with it.
         is_linked: True if frames are linked by motion.

@@ -1,8 +1,8 @@
 """Survey: all steps from detections to a map of tags, in order.
 
 *Faults*: if the outliers of a tag (`Estimate.misfits`) agree on a second pose, the tag was moved, or two tags share the
-id. If they do not agree, the detector misread the id. A tag has a wrong size if its sightings agree on another size,
-with all frames fixed.
+id. If they do not agree, the detector misread the id. A tag has a wrong size if its sightings agree on another size
+while the poses of all frames are fixed.
 
 *Held-out frames* check the map: they are localised in a map that is made from the other frames.
 """
@@ -63,7 +63,7 @@ Observer = Callable[[SurveyStage, int, int], bool]
 
 
 class HeldOut(NamedTuple):
-    """Check of the map: held-out frames, localised in a map that is made from the other frames."""
+    """Errors of frames that are held out to check the map, localised in a map that is made from the other frames."""
 
     errors: FloatArray
     """`(n,)` RMS reprojection errors of the n sightings in held-out frames, pixels."""
@@ -129,7 +129,7 @@ def survey(
         cameras: cameras in the order of `detected.cameras`.
         tag: family of the tags, and edge length of the tags for which `known` has none.
         errors: errors of the detector's corners.
-        known: prior knowledge.
+        known: prior knowledge of the user, such as a plan.
         calibrate: True if the intrinsics are a rough guess; None to refine a calibration; False to keep the
             calibration, while its uncertainty still enters the covariance.
         observer: called at each stage, see `Observer`.
@@ -165,8 +165,8 @@ def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArr
     """Ids of the tags in the prior knowledge and of the tags that were seen at least twice, ascending.
 
     Raises:
-        InputError: there is no such tag, or an edge length is given for a tag that is neither in the prior knowledge
-            nor seen.
+        InputError: no tag with one of these ids was seen, or an edge length is given for a tag that is neither in the
+            prior knowledge nor seen.
     """
     often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
     ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
@@ -181,8 +181,8 @@ def _turned(seen: Observations, known: PriorKnowledge) -> tuple[tuple[Observatio
     """Find initial poses, and the quarter turns by which tags or corner numbers are rotated relative to the prior.
 
     Returns:
-        detections and prior with the turns applied, the turns `(2, K)` (see `lmd.survey.world.turns_of`), and the
-        initial poses; number of sightings that agree with the initial poses.
+        a tuple of the detections and the prior, both with the turns applied, the turns `(2, K)` (see
+        `lmd.survey.world.turns_of`), and the initial poses; number of sightings that agree with the initial poses.
     """
     given = replace(known.prior(seen.ids), motion=_motion(seen, known))
     turned, prior, turns = seen, given, np.zeros((2, len(seen.ids)), dtype=np.int64)
@@ -215,7 +215,9 @@ def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, 
 
 
 def _estimate(seen: Observations, prior: Prior, known: PriorKnowledge, start: Start) -> Estimate:
-    """Estimate the map; where possible, a nearly constant velocity joins groups that images leave unconnected."""
+    """Estimate the map. If images leave groups of tags unconnected, a nearly constant velocity between frames joins
+    groups where possible.
+    """
     sightings = seen.through()
     found = estimate_map(sightings, prior, known.origin, start)
     motion = _steady(seen, known) if prior.motion is None and (found.group > 0).any() else None

@@ -28,13 +28,13 @@ NEAR, FACING, IN_QUARTERS, LEAST_SHARE = 0.3, 0.5, 0.35, 0.5
 
 
 def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
-    """Rigid motion `(4, 4)` from the world frame of the poses `tags` `(K, 4, 4)` to that of the prior. None if the
+    """Rigid motion `(4, 4)` that moves the poses `tags` `(K, 4, 4)` into the world frame of the prior. None if the
     prior does not determine the motion.
 
     The fit uses centres and normals of the exactly known tags, or else of all tags with known orientation. If these do
     not determine the rotation, as with a single tag, each tag proposes the motion that takes it to its expected pose.
-    Of these motions, that with the least loss over all tags is returned. Without known orientations, three or more
-    centres determine the motion.
+    The proposed motion with the least loss over all tags is returned. Without known orientations, three or more centres
+    determine the motion.
     """
     there = np.isfinite(tags[:, 0, 0])
     posed = prior.is_posed & there
@@ -58,7 +58,7 @@ def into_world(
     sightings: Sightings, poses: Poses, group: IntArray, prior: Prior, origin: int | None
 ) -> tuple[Poses, IntArray, Prior]:
     """Move the groups whose tags determine the prior's world frame into this frame, as group 0. Other groups keep their
-    own world frames, and are numbered 1, 2, ...
+    own world frames, and are numbered 1, 2, ... Returns poses, groups of tags and prior.
 
     Args:
         sightings: sightings of the tags.

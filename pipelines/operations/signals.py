@@ -132,7 +132,7 @@ class Stop:
 
 
 def tell(text: str) -> None:
-    """Write a line to stderr directly, without Python's buffer, as the signal may have interrupted a write to it."""
+    """Write a line to stderr without Python's buffer, as the signal may have interrupted a write to this buffer."""
     with suppress(OSError):  # the reader may have ended
         os.write(2, f"\n{text}\n".encode())
 
@@ -142,9 +142,9 @@ def _ignore(number: int) -> None:
 
 
 def _unless_stopped(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Handle an exception that Python cannot pass on, for example from a destructor: ignore it if it is `Stopped`.
+    """Ignore `Stopped` where Python cannot pass an exception on, as in a destructor; report other exceptions.
 
-    `requested` is set nevertheless.
+    The signal is not lost, because `Stop.requested` stays True.
     """
     if not isinstance(unraisable.exc_value, Stopped):
         sys.__unraisablehook__(unraisable)

@@ -22,7 +22,7 @@ UNKNOWN_POSITION, UNKNOWN_ATTITUDE = 1e3, np.pi
 
 @dataclass(frozen=True)
 class Drives(Checked):
-    """D drives with F frames in total, one drive after the other.
+    """D drives of a camera or of a rig's body, with F frames (images) in total, and the noise of the odometry.
 
     Raises:
         InputError: a value is out of range, or there is no drive.

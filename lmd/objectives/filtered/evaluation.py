@@ -40,7 +40,7 @@ class FrameInformation(NamedTuple):
 
 
 class FilteredPoses(NamedTuple):
-    """Accuracy of the filtered pose in each frame."""
+    """Covariance of the filtered pose in each frame, and frames whose pose is known to the tolerance."""
 
     known: BoolArray
     """`(F,)` mask of the poses that are known to the tolerance."""
@@ -80,10 +80,11 @@ def frame_information(
 
 
 def _cameras(scene: Scene, axes: FloatArray) -> tuple[Any, FloatArray, FloatArray]:
-    """Cameras of the scene, and two arrays with an entry for each camera and frame.
+    """Cameras of the scene, with their offsets and axes in each frame; `axes` `(F, 6)` are those of the body.
 
-    The arrays are the offset of the camera from the body, `(C, F, 3)`, metres, and the axes of the camera, `(C, F, 6)`.
-    The argument `axes` `(F, 6)` has the axes of the body in each frame.
+    Returns:
+        the C cameras; offsets from the body, `(C, F, 3)`, metres; optical axes and directions to the right, `(C, F,
+            6)`.
     """
     if scene.rig is None:
         return scene.cameras, np.zeros((1, len(axes), 3)), axes[None]
@@ -118,9 +119,7 @@ def reference_information(
 
 
 def reference_filter(drives: Drives, information: FrameInformation, tolerance: Tolerance) -> FilteredPoses:
-    """Run a Kalman filter along each drive, in NumPy, and return the covariances of the filtered poses. Each step
-    advances by one frame all drives that have further frames.
-    """
+    """Run a Kalman filter along each drive, in NumPy, and return the covariances of the filtered poses."""
     known, kept = np.zeros(len(information.sums), dtype=np.bool_), np.zeros_like(information.sums)
     p: FloatArray = np.repeat(drives.start[:, None], len(drives), axis=1)
     for step in range(int(np.diff(drives.first).max())):

@@ -28,7 +28,7 @@ LANDMARK_BYTES = 30  # memory of a landmark in a frame
 
 
 class FilteredState(NamedTuple):
-    """State of the field of filtered poses, for a deployment of K landmarks and F frames."""
+    """State of `FilteredField` for K landmarks: coverage, information and filtered poses in F frames."""
 
     poses: np.ndarray
     """`(6, K)` positions, metres, and unit normals."""
@@ -52,8 +52,9 @@ class FilteredState(NamedTuple):
 
 
 class FilteredScratch(NamedTuple):
-    """Working memory with the results of the move tried last. After the move is carried out, it describes the reverse
-    move.
+    """Working memory with the results of the move tried last.
+
+    After this move is carried out, the memory has the data of the reverse move, which undoes it.
     """
 
     units: np.ndarray
@@ -109,7 +110,10 @@ class FilteredScratch(NamedTuple):
 
 
 class FilteredField(NamedTuple):
-    """Constant data of the field of filtered poses; a `lmd.incremental.field.Field` with a position for each frame."""
+    """Constant data of the incremental evaluator (field) of filtered poses; a `lmd.incremental.field.Field`.
+
+    Each frame of the drives is a position of the field.
+    """
 
     positions: np.ndarray
     """`(3, L)` positions of the frames, metres; L >= F is a multiple of `BLOCK`, the last frame is repeated."""

@@ -46,8 +46,10 @@ Number = Any  # a number in kernels, an array in the reference
 
 @inlined
 def predicted(p: Any, way: Vector, motion: Number, turn: Number) -> tuple[Number, ...]:
-    """Covariance after the displacement `way`, metres, from the covariance `p` before it, 21 numbers each. `motion`
-    [m^2] and `turn` [rad^2] are the variances of the odometry along and about each axis.
+    """Covariance after a motion, from the covariance `p` before the motion.
+
+    Each covariance is 21 numbers, in the order that the module states. The displacement is `way`, metres. The odometry
+    has the variances `motion` [m^2] along each axis and `turn` [rad^2] about each axis.
     """
     vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
     # X' = X - [d]x W, with the rows of X as covariances of v_i with w.
@@ -209,7 +211,7 @@ class Tolerance(NamedTuple):
 
 
 class Lanes(NamedTuple):
-    """Working memory of the Kalman filters: drives in several lanes, one filter in each, are filtered in parallel."""
+    """Working memory for `LANES` Kalman filters that run in parallel, each along its own drive (a lane)."""
 
     covariance: FloatArray
     """`(21 LANES,)` covariance of the pose in each lane."""
@@ -235,9 +237,7 @@ def lanes() -> Lanes:
 
 @inlined
 def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
-    """Read the 21 numbers of a lane (one drive of those filtered in parallel) from `rows`, a covariance or an
-    information for each lane.
-    """
+    """Read the covariance or the information of one lane (one of the drives filtered in parallel), 21 numbers."""
     return (
         rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
         rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],
@@ -248,9 +248,7 @@ def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
 
 @inlined
 def _write(rows: FloatArray, lane: Integer, p: Any) -> None:
-    """Write the covariance `p` of a lane (one drive of those filtered in parallel), 21 numbers, into `rows`, which has
-    the covariances of all lanes.
-    """
+    """Write the covariance `p` of one lane (one of the drives filtered in parallel), 21 numbers, into `rows`."""
     (
         rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
         rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],
@@ -261,7 +259,7 @@ def _write(rows: FloatArray, lane: Integer, p: Any) -> None:
 
 @inner
 def predict_lanes(lanes: Lanes) -> None:
-    """Predict the covariance in each lane at the next frame of the lane's drive from the odometry, in place."""
+    """Predict the covariance at the next frame from the odometry, in each lane (drive) in place."""
     rows, moves = lanes.covariance, lanes.moves
     for lane in range(np.uint64(LANES)):
         way = read3(moves, lane, _1)
@@ -270,8 +268,10 @@ def predict_lanes(lanes: Lanes) -> None:
 
 @overridable
 def update_lanes(least: Any, lanes: Lanes, scale: float) -> None:
-    """Update the covariance in each lane whose frame has enough tags in view (`informed`), in place, with the
-    information of this frame. For `least` and `scale` see `Tolerance`.
+    """Update the covariance in each lane (drive) in place with the information of the lane's current frame.
+
+    Lanes whose frame has too few tags in view (`Lanes.informed`) keep their covariance. For `least` and `scale` see
+    `Tolerance`.
     """
     for lane in range(LANES):
         if lanes.informed[lane]:

@@ -89,7 +89,7 @@ class Filtered(AtLeast):
     """Fraction of the time of all drives, or of the worst drives, in which the filtered pose is known to a tolerance.
 
     Each frame of a drive is a position of the problem (`lmd.space.changed.DrivenRoom`). The value of a frame is 1 if
-    the standard deviation of the filtered position is at most the tolerance, otherwise 0. The filter uses the odometry,
+    the standard deviations of the filtered pose are at most the tolerances, otherwise 0. The filter uses the odometry,
     and the tags in view in this frame and in the earlier frames (`lanes`).
 
     Args:
@@ -100,8 +100,8 @@ class Filtered(AtLeast):
         tolerance: greatest standard deviation of the filtered position, metres.
         rotation_tolerance: greatest standard deviation of the filtered rotation, rad; None for no limit.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
-        worst: fraction of the drives that count as the worst, in which the pose is known for the smallest fraction of
-            their time; the fitness is the mean over these drives. None to use the total time of all drives.
+        worst: fraction of the drives that count as the worst: those with the smallest fraction of time with a known
+            pose. The fitness is the mean over these drives. None to use the total time of all drives.
 
     Raises:
         InputError: a value is out of range.
@@ -141,8 +141,9 @@ class Filtered(AtLeast):
         return f"filtered position known to {1e3 * self.tolerance:g} mm"
 
     def asked(self, scene: Scene) -> Precision:
-        """Edge lengths of the tags, and weight of each corner in the information. The filter does not use the limits
-        that the result also has.
+        """Edge lengths of the tags, and weight of each corner in the information.
+
+        The limits in the returned `Precision` are not used by the filter.
         """
         camera, limits = scene.cameras[0], (self.tolerance, self.rotation_tolerance)
         return precision(camera, scene.tag, self.pixel_noise, *limits, scene.edges)
@@ -159,7 +160,7 @@ class Filtered(AtLeast):
         return Tolerance(*limits, 1.0 / scale**2, ROUNDED * QUANTUM if vague else None)
 
     def poses(self, evaluator: Evaluator, deployment: Deployment, drives: Drives | None = None) -> FilteredPoses:
-        """Accuracy of the filtered pose in each frame of `drives`, by default of the training drives."""
+        """Covariance of the filtered pose in each frame of `drives`, by default of the training drives."""
         scene, along = evaluator.scene, drives or self.drives
         asked, limits = self.asked(scene), self.limits(scene)
         if evaluator.by_reference:

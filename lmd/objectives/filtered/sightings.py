@@ -1,7 +1,8 @@
-"""Landmarks in view in the frames of drives while one landmark moves: coverage, occlusion and information.
+"""Effect of a trial move of one landmark on the images of drives: landmarks in view, occlusion and information.
 
-`see` lists the frames in which a move changes the landmarks in view. Occlusion is tested only for landmarks near the
-lines of sight to the moving landmark (`lmd.incremental.occlusion`), block by block of frames.
+`see` lists the frames in which the move changes the landmarks in view. Frames are handled in blocks of neighbours.
+Occlusion is tested only for landmarks near the lines of sight from a block to the moving landmark
+(`lmd.incremental.occlusion`).
 """
 
 import math
@@ -32,13 +33,13 @@ _1, _2, _3, _4, _5, _6, _7, _8, _9, _10, _11, _12, _13, _14 = (np.uint64(SPOTS *
 
 @inlined
 def word_of(k: Integer) -> Any:
-    """Index of the 64-bit word with the bit of landmark k, in a bit set of landmarks."""
+    """Index of the 64-bit word that has the bit of landmark k, in a bit set of landmarks."""
     return np.uint64(k) // np.uint64(BITS)
 
 
 @inlined
 def bit_of(k: Integer) -> Any:
-    """64-bit word in which only the bit of landmark k is set."""
+    """Bit of landmark k within its 64-bit word (`word_of`), as a mask."""
     return ONE << np.uint64(k) % np.uint64(BITS)
 
 
@@ -56,7 +57,7 @@ def offset_of(place: Vector, f: Integer, field: Any) -> Vector:
 
 @inlined
 def tried_pose(scratch: Any) -> Any:
-    """Position (metres) and unit normal of the place tried."""
+    """Position (metres) and unit normal of the moving landmark's new place."""
     pose = scratch.pose
     return (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5])
 
@@ -75,8 +76,8 @@ def hide_each_other(i: Integer, pose: Any, k: Integer, other: Any, f: Integer, f
 def covers_alone(f: Integer, pose: Any, mine: Any, clear: Any, ends: Any, field: Any) -> Any:
     """True if the camera covers a landmark at `pose` in frame f, other landmarks ignored.
 
-    `mine` is the landmark's model of sight. `clear` is True if the room has no obstacles. Otherwise the first row of
-    `ends` is the result of `lmd.sight.obstacles.find_ends` for the landmark.
+    `mine` is the compiled model of sight for this landmark. `clear` is True if the room has no obstacles. Otherwise the
+    first row of `ends` is the result of `lmd.sight.obstacles.find_ends` for the landmark.
     """
     offset = offset_of(pose[0], f, field)
     reached, low, _, _ = from_position(mine, offset, pose[1], 0.0)
@@ -87,7 +88,7 @@ def covers_alone(f: Integer, pose: Any, mine: Any, clear: Any, ends: Any, field:
 
 @inlined
 def add_landmark(row: FloatArray, sign: float, f: Integer, k: Integer, pose: Any, field: Any, scratch: Any) -> None:
-    """Add the information of landmark k at `pose` in frame f, times `sign`, to `row`, a row of `sums`."""
+    """Add the information of landmark k at `pose` in frame f, times `sign`, to `row`, the information of the frame."""
     moment, offset = scratch.moment, offset_of(pose[0], f, field)
     landmark_moments(offset, pose[1], field.precision, k, moment)
     weight = pixel_density(field.sight, offset, field.axes, f)
@@ -97,7 +98,7 @@ def add_landmark(row: FloatArray, sign: float, f: Integer, k: Integer, pose: Any
 
 @inner
 def _mark_ahead(field: Any, scratch: Any) -> None:
-    """Mark in `scratch.covered` the frames in which the place tried may lie in the camera's field of view."""
+    """Mark in `scratch.covered` the frames whose image may show the moving landmark at its new place."""
     ahead, (place, _) = scratch.covered, tried_pose(scratch)
     for f in range(np.uint64(len(ahead))):
         offset = offset_of(place, f, field)
@@ -106,11 +107,10 @@ def _mark_ahead(field: Any, scratch: Any) -> None:
 
 @inner
 def _flush(role: Integer, count: Integer, k: Integer, normal: Any, field: Any, scratch: Any) -> None:
-    """Apply the entries of the buffer `spots` of a role (old place or place tried): change the sums of frames by the
-    information of landmark k.
+    """Subtract the information of landmark k at its old place from frames, or add its information at the new place.
 
-    For each of the first `count` entries, the information is subtracted from the sums of the entry's frame (old place),
-    or added to these sums (place tried).
+    The first `count` entries of a buffer (`spots`) are the frames that see the landmark. `role` is 0 for the old place
+    and 1 for the new place; each has its own buffer.
     """
     spots, shares, frames, asked = scratch.spots[role], scratch.shares, scratch.spotted[role], field.precision
     right, up = upright_sides(half_of(asked, k), normal)
@@ -134,8 +134,12 @@ def _flush(role: Integer, count: Integer, k: Integer, normal: Any, field: Any, s
 
 @inlined
 def _spot(role: Integer, count: Integer, f: Integer, k: Integer, pose: Any, field: Any, scratch: Any) -> Any:
-    """Append frame f, which shows the moving landmark at `pose`, to the buffer `spots` of a role (old place or place
-    tried). Return the number of entries; 0 if the buffer was full and has been emptied by `_flush`.
+    """Append frame f to the buffer (`spots`) of the frames that see the moving landmark at `pose`.
+
+    `role` is 0 for the old place and 1 for the new place. A full buffer is emptied by `_flush`.
+
+    Returns:
+        number of entries in the buffer.
     """
     spots, i, offset = scratch.spots[role], np.uint64(count), offset_of(pose[0], f, field)
     write3(spots, i, _1, offset)
@@ -149,8 +153,9 @@ def _spot(role: Integer, count: Integer, f: Integer, k: Integer, pose: Any, fiel
 
 @inner
 def _list_near(b: Integer, k: Integer, width: float, state: Any, field: Any, scratch: Any) -> None:
-    """Write into the bit sets `scratch.near` the landmarks that may hide landmark k, or be hidden by it, from the
-    frames of block b: one set for the old place, one for the place tried.
+    """Find the landmarks that may hide landmark k, or be hidden by it, from the frames of block b.
+
+    The bit set for the old place of landmark k and the bit set for its new place are written to `scratch.near`.
     """
     near, (middle, half) = scratch.near, pair3(field.boxes, b)
     sides = np.float32(half[0]), np.float32(half[1]), np.float32(half[2])
@@ -170,7 +175,7 @@ def _list_near(b: Integer, k: Integer, width: float, state: Any, field: Any, scr
 
 @inner
 def begin(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
-    """Begin a trial: store the place to try for landmark k in the scratch, and clear the data of the last move."""
+    """Begin a trial move of landmark k: store its new place in the scratch, and clear the last trial."""
     scratch.surface[0], scratch.numbers[PAIRS] = surface, 0
     for i in range(6):
         scratch.pose[i] = pose[i]
@@ -193,8 +198,9 @@ def begin(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any
 
 @inner
 def see(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Find the frames in which the move of landmark k changes the landmarks in view, and compute the sums of
-    information in these frames after the move.
+    """Find the frames in which the move of landmark k changes the landmarks in view.
+
+    The information of these frames after the move is written to the scratch.
     """
     poses, width, reaches, mine = state.poses, 0.0, field.sight.reach >= 0.0, sized(field.sight, k)
     clear, ends, d, old, new = is_clear(field.obstacles), scratch.ends, 0, pair3(state.poses, k), tried_pose(scratch)
@@ -255,10 +261,12 @@ def see(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inlined
 def _meet(j: Integer, f: Integer, k: Integer, covered: Any, field: Any, state: Any, scratch: Any) -> Any:
-    """Process landmark j, which is not the moving landmark k, in frame f.
+    """Test the occlusion between landmark j and the moving landmark k in frame f.
 
-    The pair of f and j is listed if the move changes whether k hides j. The result is 1 if the camera covers k at the
-    place tried (`covered`) and j hides k there, else 0.
+    If the move changes whether k hides j, frame and landmark are listed in `scratch.pairs`.
+
+    Returns:
+        1 if j hides k at its new place and the camera covers k there (`covered`), else 0.
     """
     seen, hiding, change, other = _is_covered(state, f, j), False, np.int64(0), pair3(state.poses, j)
     before, after = scratch.near[0, word_of(j)] & bit_of(j), scratch.near[1, word_of(j)] & bit_of(j)

@@ -1,11 +1,10 @@
-"""Trial of a move of one landmark: it finds the frames of drives in which the landmarks in view change, and filters the
-drives again from these frames on.
+"""Trial of a move of one landmark along drives: the filter runs again from the first frame that the move changes.
 
-A move changes the information of the frames in which the landmark is seen at its old place or at the place tried. The
+A move changes the information of the frames in which the landmark is seen at its old place or at its new place. The
 move also changes the frames in which the landmark begins or ceases to hide another landmark. Each drive with changed
 frames is filtered again from its first changed frame to its end; the covariances of earlier frames do not change.
 
-All values are exact after `bound_move`; `settle_move` has nothing to do.
+The values of the frames are exact after `bound_move`, so `settle_move` has nothing to do.
 """
 
 from typing import Any
@@ -35,8 +34,10 @@ from lmd.sight.obstacles import find_ends, is_clear
 
 @inlined
 def _load(lane: Integer, f: Integer, field: Any, state: Any, scratch: Any) -> Any:
-    """Load the odometry and the information of frame f into a lane, the working memory of one drive of those filtered
-    in parallel. Return True if the frame has information: at least n landmarks in view.
+    """Load the odometry and the information of frame f into a lane (one of the drives that are filtered in parallel).
+
+    Returns:
+        True if the information is used: at least n landmarks are in view.
     """
     work, changed = scratch.lanes, scratch.changed[f] != 0
     count, s = scratch.counts[f] if changed else state.counts[f], work.information
@@ -58,8 +59,9 @@ def _load(lane: Integer, f: Integer, field: Any, state: Any, scratch: Any) -> An
 
 @inlined
 def _store(lane: Integer, f: Integer, field: Any, scratch: Any) -> None:
-    """Store the covariance of a lane (one drive of those filtered in parallel) as the covariance of frame f, and the
-    value of this frame: `PROBABILITY_ONE` if the pose is known to the tolerance, else 0.
+    """Store the covariance of a lane (one of the drives filtered in parallel) and the resulting value for frame f.
+
+    The quantised value is `PROBABILITY_ONE` if the pose is known to the tolerance, else 0.
     """
     work = scratch.lanes
     for j in range(NUMBERS):
@@ -115,8 +117,10 @@ def _filter(field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write into `scratch.units` the values of the frames after a move of landmark k to `pose` on a surface. `pose`
-    `(6,)` is position (metres) and unit normal.
+    """Try a move of landmark k: write the quantised values of the frames after the move into `scratch.units`.
+
+    The value of a frame is 1 if its pose is known to the tolerance, else 0. `pose` `(6,)` is the new position (metres)
+    and unit normal of the landmark.
     """
     begin(field, k, pose, surface, state, scratch)
     see(field, k, state, scratch)
@@ -125,13 +129,14 @@ def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state
 
 @inner
 def settle_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Do nothing: for this field the bounds are exact values already."""
+    """Do nothing: `bound_move` has already written exact values."""
 
 
 @inner
 def exchange_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Carry out the move tried last, or undo it: swap the place of landmark k, and the data that depend on this place,
-    between state and scratch.
+    """Carry out the move tried last, or undo it.
+
+    The place of landmark k, and all data that depend on it, are swapped between state and scratch (working memory).
     """
     for i in range(6):
         state.poses[i, k], scratch.pose[i] = scratch.pose[i], state.poses[i, k]
@@ -161,7 +166,7 @@ def exchange_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @kernel
 def fill_state(field: Any, state: Any, scratch: Any) -> None:
-    """Compute all other arrays of a state from the poses of its landmarks, in place."""
+    """Compute all arrays of a new state from the poses of its landmarks: coverage, information and covariances."""
     poses, clear, ends = state.poses, is_clear(field.obstacles), scratch.ends
     for k in range(poses.shape[1]):
         mine, pose = sized(field.sight, k), pair3(poses, k)

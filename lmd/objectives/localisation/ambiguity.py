@@ -30,7 +30,7 @@ displacement of the mirrored tag is common to all cameras. So
 With M = sum m_i, h = sum m_i b_i and |b_i| = 1, the second sum is M - |h|^2 / M: S follows from five numbers that add
 up. A further camera never lowers S.
 
-At an incidence angle below about 1.5 baselines over distance, radians, no second pose exists, which S neglects.
+At incidence angles below about 1.5 baselines over distance, radians, a rig has no second pose; S neglects this.
 docs/results/ambiguity.md has the error of S.
 """
 
@@ -66,8 +66,9 @@ MIRRORED_WIDTH = 32  # length of a row of `sums` with the additional numbers
 
 
 def resolved(asked: Precision, scale: float) -> Precision:
-    """Copy of the limits `asked` that also requires unambiguous views. `scale` is the result of
-    `information.deviation_per_variance`: pixel noise over focal length.
+    """Copy of the limits `asked` with the additional requirement that views are unambiguous.
+
+    `scale` is the result of `information.deviation_per_variance`: pixel noise over focal length.
     """
     least = 2.0 * NormalDist().inv_cdf(CONFIDENCE) * scale
     return asked._replace(residual=least**2 * (1.0 - TOLERANCE))
@@ -80,7 +81,7 @@ def _is_limit(limit: float | None) -> bool:
 
 @overridable
 def least_residual(limit: float | None) -> float:
-    """`Precision.residual` as a number: 0 for None."""
+    """Required squared residual, as a number; 0 if `limit` (`Precision.residual`) is None."""
     return limit  # type: ignore[return-value] # None has a function of its own
 
 
@@ -96,14 +97,15 @@ def _no_residual(limit: None) -> float:
 
 @inlined
 def resolves_ambiguity(precision: Precision) -> bool:
-    """True if the two poses of a single tag must be distinguished."""
+    """True if `precision` requires that the two poses of a single tag can be distinguished."""
     return _is_limit(precision.residual)
 
 
 @inlined
 def mirrored_square(tag: Square) -> Number:
-    """Squared residual S of the mirrored pose of a tag (see the module), times the cube of the tag's distance, in units
-    of f^2, the squared focal length.
+    """Squared residual S of the mirrored pose of a tag (see the module), times the cube of the tag's distance.
+
+    The unit is f^2, the squared focal length. The later weight `pixel_density` cancels the cube.
     """
     offset, right, up = tag
     squared, along, above = dot3(offset, offset) + TINY, dot3(offset, right), dot3(offset, up)
@@ -113,8 +115,10 @@ def mirrored_square(tag: Square) -> Number:
 
 @inlined
 def residual_ratio(tag: Square, least: Number) -> Number:
-    """Ratio of a tag's squared residual S (see the module) to the required residual `least`, times the cube of the
-    tag's distance. Ratios above `MOST` are clipped.
+    """Ratio of a tag's squared residual S (see the module) to the required one, `least`.
+
+    The result is multiplied by the cube of the tag's distance; the later weight `pixel_density` cancels it. Ratios
+    above `MOST` are clipped.
     """
     squared = dot3(tag[0], tag[0])
     return np.minimum(mirrored_square(tag) / least, MOST * (squared * np.sqrt(squared)))
@@ -122,11 +126,10 @@ def residual_ratio(tag: Square, least: Number) -> Number:
 
 @overridable
 def camera_residual(least: float | None, tag: Square) -> Number:
-    """Moment of a tag that tells if the tag's two poses can be distinguished: the `residual_ratio`, or 0 if `least` is
-    None.
+    """Number of a tag that tells if its two poses can be distinguished: `residual_ratio`, or 0 if `least` is None.
 
-    `least` is the required squared residual in units of f^2 (`Precision.residual`). The contribution to a view, in the
-    last column of its sums, is this moment times the pixel density (`share_of`).
+    `least` is the required squared residual in units of f^2 (`Precision.residual`). The last number of a view's
+    information is this number times the `pixel_density` of the tag, summed over the tags.
     """
     return residual_ratio(tag, least)
 
@@ -138,11 +141,11 @@ def _no_camera_residual(least: None, tag: Square) -> Number:
 
 @inlined
 def mirrored_numbers(tag: Square, least: Number) -> tuple[Number, Number, Number, Number, Number]:
-    """Five numbers of a tag in a camera of a rig, from which the residual of the mirrored pose is summed over the
-    cameras.
+    """Five numbers of a tag in one camera of a rig; their sums over the cameras give the residual of the mirrored pose.
 
-    The numbers are the ratio of S to the required residual `least`, then M and the three components of h (see the
-    module). S and M are in units of f^2. Each number is multiplied by the cube of the tag's distance.
+    The numbers are the ratio of S to the required residual `least`, then M and the three components of h, all defined
+    in the module. S and M are in units of f^2. Each number is multiplied by the cube of the tag's distance; the later
+    weight `pixel_density` cancels it.
     """
     offset, right, up = tag
     squared, along, above = dot3(offset, offset), dot3(offset, right), dot3(offset, up)
@@ -161,9 +164,9 @@ def rig_ratio(ratio: Number, m: Number, hx: Number, hy: Number, hz: Number, leas
 
 @overridable
 def has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the image of a single tag in view v determines one pose; always True if `least` is None.
+    """True if the image of the only tag in view v determines one pose; always True if `least` is None.
 
-    Number j of the sums of view v is `sums[v + j * step]`.
+    Number j of the view's information is `sums[v + j * step]`.
     """
     return sums[v + NUMBERS * step] >= 1.0
 
@@ -175,9 +178,9 @@ def _has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> bool:
 
 @overridable
 def body_has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the images of a single tag in view v of a rig determine one pose; always True if `least` is None.
+    """True if a rig's images of the only tag in view v determine one pose; always True if `least` is None.
 
-    Number j of the sums of view v is `sums[v + j * step]`; `least` is the required residual.
+    Number j of the view's information is `sums[v + j * step]`; `least` is the required squared residual.
     """
     r, m = v + BODY_NUMBERS * step, v + (BODY_NUMBERS + 1) * step
     return rig_ratio(sums[r], sums[m], sums[m + step], sums[m + 2 * step], sums[m + 3 * step], least) >= 1.0
@@ -189,7 +192,8 @@ def _body_has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> boo
 
 
 def width_of(precision: Precision) -> int:
-    """Length of the row of sums that is kept for each view of a rig. The row is longer if the two poses of a single tag
-    must be distinguished.
+    """Length of the row that is stored for the information of a view of a rig.
+
+    The row is longer if the two poses of a single tag must be distinguished.
     """
     return MIRRORED_WIDTH if resolves_ambiguity(precision) else BODY_WIDTH

@@ -1,4 +1,4 @@
-"""Versions, for a single camera, of the functions that `lmd.objectives.localisation.views` declares."""
+"""Functions that `lmd.objectives.localisation.views` declares, in their versions for a single camera."""
 
 from typing import Any
 
@@ -56,7 +56,7 @@ def _see_touched(known: State, k: Integer, n: Integer, positions: WordArray, cov
 
 @see_rest.register(State)
 def _see_rest(known: State, k: Integer, cover: Any, trial: Scratch) -> None:
-    """Do nothing: for a single camera, `see_place` has found all orientations already."""
+    """Do nothing: `see_place` has found all orientations already."""
 
 
 @find_turns.register(State)
@@ -88,8 +88,9 @@ def _clear_moments(views: CameraViews, p: Integer) -> None:
 
 @inner
 def _update_moments(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
-    """Compute the moments (sums over corners, `information.moments`) of landmark k as seen from position p, at the old
-    place and at the place tried. Nothing is computed if the moments of this move are known already.
+    """Compute the `information.moments` of landmark k as seen from position p, at its old place and at its new place.
+
+    Nothing is computed if the scratch has these moments already.
     """
     views = scratch.views
     if views.found[p] == 0:
@@ -102,8 +103,9 @@ def _update_moments(known: State, k: Integer, p: Integer, field: Any, scratch: A
 
 @inner
 def _sum_turning(p: Integer, w: Integer, count: Integer, field: Any, known: State, scratch: Any) -> None:
-    """Update the sums of information of the views that are set up (word w, position p) for other landmarks: those that
-    the move makes appear or disappear.
+    """Update the information of views for the landmarks, other than the moving one, that appear or disappear.
+
+    The views are those set up in the scratch: at position p, with orientations of word w (64 orientations).
     """
     trial, views, camera = scratch.coverage, scratch.views, field.coverage.cameras
     for i in range(np.uint64(known.poses.shape[1])):
@@ -137,9 +139,10 @@ def _sum_views(
 def _add(
     moments: FloatArray, pose: Any, seen: np.uint64, p: Integer, w: Integer, sign: float, field: Any, state: Any
 ) -> None:
-    """Add the information of a landmark, times `sign`, to the sums of the views `seen` (bits of word w) at position p.
+    """Add the information of a landmark, times `sign`, to the state's information of several views from position p.
 
-    `moments` are the landmark's sums over corners as seen from p, `pose` its position and normal.
+    The views are the orientations `seen`, bits of word w (64 orientations). `moments` are the landmark's
+    `information.moments` for p, `pose` its position and normal.
     """
     look = field.coverage.cameras.sight, field.coverage.cameras.axes
     add_to_sums(moments, seen, _offset(pose, p, field), look, w, sign, first_row(p, w, state), state.sums)

@@ -1,4 +1,7 @@
-"""P_n (n landmarks are covered) and L (the view is localised): two probabilities of whole deployments at each position.
+"""Evaluation of deployments: P_n and L at each position.
+
+P_n is the probability that n landmarks are covered, and L the probability that a view (an orientation at this position)
+is localised.
 
 Compiled code counts landmarks by the operations of `lmd.sight.kernels`. For the views that cover n landmarks, the
 information of the landmarks (`information`, `ambiguity`) is summed and compared with the required precision. Positions
@@ -28,7 +31,7 @@ from lmd.sight.viewpoint import fill_viewpoint, gather_near, list_shown, load_de
 
 
 class ViewValues(NamedTuple):
-    """Values of the views of B deployments at P positions."""
+    """Probabilities of covered and of localised views, and variances, for B deployments at P positions."""
 
     covered: IntArray
     """`(B, P)` quantised P_n, the probability that n landmarks are covered, of each deployment at each position."""
@@ -45,9 +48,9 @@ class ViewValues(NamedTuple):
 def localised_views(
     evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool = False
 ) -> ViewValues:
-    """Evaluate the views of B deployments; a view of a rig has the images of all its cameras.
+    """Compute P_n, L and the variance of each view for B deployments, see `ViewValues`.
 
-    The result does not depend on the number of threads.
+    A view of a rig has the images of all its cameras. The result does not depend on the number of threads.
 
     Args:
         evaluator: scene and P positions.
@@ -76,13 +79,13 @@ def _localise_range(
     first: Integer, last: Integer, batch: Batch, tables: Any, n: Integer, places: Integer, precision: Precision,
     asks: bool, values: ViewValues,
 ) -> None:  # fmt: skip
-    """Evaluate deployments at the positions `order[first:last]`, where `order` is the first entry of `batch`.
+    """Write the `ViewValues` of B deployments at the positions `order[first:last]` into `values`.
 
     Args:
-        first, last, batch, tables, n: see `kernels.evaluate_range`.
+        first, last, batch, tables, n: see `kernels.evaluate_range`, as for `order`.
         places: number of binary digits in which landmarks are counted.
         precision, asks: limits that a localised view must satisfy, and the value of `Precision.asks` for these limits.
-        values: receives the values; its variances are empty if they are not computed.
+        values: receives the results; its variances are empty if they are not computed.
     """
     order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, weights = batch
     (covered, localised, variances), words = values, np.uint64(axes.shape[1] // BITS)

@@ -23,8 +23,9 @@ from lmd.sight.evaluator import Evaluator
 
 
 class LocalisationState(NamedTuple):
-    """Sums of information and localised views of a deployment, for Q positions in the order of the field. An
-    orientation is one bit of W 64-bit words.
+    """Information and localised views of a deployment, for Q positions in the order of the field.
+
+    A view is an orientation at a position. An orientation is one bit of W 64-bit words.
     """
 
     units: np.ndarray
@@ -46,7 +47,8 @@ class LocalisationState(NamedTuple):
 class LocalisationScratch(NamedTuple):
     """Working memory with the results of the move tried last.
 
-    After the move is carried out, `units`, `located`, `LOCALISED` and `coverage` describe the reverse move.
+    After the move is carried out, `units`, `located`, the row `LOCALISED` of `sets`, and `coverage` have the data of
+    the reverse move, which undoes it.
     """
 
     units: np.ndarray
@@ -67,7 +69,7 @@ class LocalisationScratch(NamedTuple):
 
 
 class LocalisationField(NamedTuple):
-    """Constant data of the field of localisation; a `lmd.incremental.field.Field`.
+    """Constant data of the incremental evaluator (field) of localisation; a `lmd.incremental.field.Field`.
 
     The field has no stacks (groups of coincident landmarks), because landmarks at one point do not localise the camera.
     """
@@ -100,7 +102,7 @@ class LocalisationField(NamedTuple):
         return self.state_with(self.coverage.state(deployment))
 
     def state_with(self, known: State | RigState) -> LocalisationState:
-        """New state of localisation, made from `known`, the state of coverage for the deployment."""
+        """New state of localisation for the deployment whose coverage is the state `known`."""
         size, words = known.counts.sets.shape[1:]
         width = width_of(self.precision) if self.mounts else WIDTH
         check_views(8.0 * width if self.asks else 0.0, size, BITS * words)

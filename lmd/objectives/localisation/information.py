@@ -94,7 +94,7 @@ class Precision(NamedTuple):
 
     @property
     def asks(self) -> bool:
-        """True if a view needs more than n covered landmarks."""
+        """True if a view needs more than n covered landmarks: its position or its rotation must be accurate."""
         return bool(np.isfinite(self.position)) or self.rotation is not None
 
 
@@ -108,8 +108,9 @@ def half_of(precision: Precision, k: Integer) -> Any:
 
 @overridable
 def within(limit: float | None, variance: Number, fixed: Number) -> Any:
-    """True if a variance is finite and at most the limit; `fixed` is True if the variance is finite. Always True
-    without a limit (None).
+    """True if a variance is finite and at most `limit`; always True if `limit` is None.
+
+    `fixed` is True if the variance is finite.
     """
     return fixed & (variance <= limit)
 
@@ -120,10 +121,10 @@ def _within_none(limit: None, variance: Number, fixed: Number) -> Any:
 
 
 def deviation_per_variance(camera: Camera, pixel_noise: float) -> float:
-    """sigma / f: the standard deviation that belongs to a `variance` of 1, metres or rad.
+    """Standard deviation, metres or rad, that belongs to the variance 1 in the units of this module: sigma / f.
 
     Args:
-        camera: the camera.
+        camera: the camera, with the focal length f in pixels.
         pixel_noise: sigma, the standard deviation of each coordinate of a corner, pixels.
     """
     return float(pixel_noise / np.sqrt(np.prod(camera.focal_pixels)))
@@ -155,8 +156,10 @@ def precision(
 
 @inlined
 def moments(tag: Square, share: float) -> tuple[Number, ...]:
-    """Moments of a landmark: the 15 numbers A, g and C of the module, summed over its four corners, times r^3 with the
-    landmark's distance r. `share` is the weight of each corner.
+    """Information that a landmark gives about the camera's pose, before it is weighted for an orientation.
+
+    The result is the 15 numbers A, g and C of the module, summed over the four corners, times the cube of the
+    landmark's distance. The later weight `pixel_density` cancels this cube. `share` is the weight of each corner.
     """
     axx = axy = axz = ayy = ayz = azz = gx = gy = gz = cxx = cxy = cxz = cyy = cyz = czz = 0.0
     for i in range(4):
@@ -180,19 +183,21 @@ def moments(tag: Square, share: float) -> tuple[Number, ...]:
 
 @inlined
 def share_of(moment: Number, weight: Number) -> Number:
-    """Contribution of a landmark to one of the sums of a view: the moment times `weight` (the `pixel_density`), rounded
-    to a multiple of `QUANTUM`.
+    """Contribution of a landmark to one number of a view's information, rounded to a multiple of `QUANTUM`.
+
+    `moment` is this number in the landmark's `moments`, and `weight` the `pixel_density` of the landmark in the view.
     """
     return (moment * weight + ROUNDER) - ROUNDER
 
 
 @inlined
 def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple[Number, Number, Number, Number]:
-    """Four numbers from which `inverse_trace` computes tr S^-1 in view v (entries `sums[v + j * step]`), with the Schur
-    complement S of the module. The first is det A. The next two are the sum of the principal 2 x 2 minors, and the
-    determinant, of the matrix S det A. The last is tr A.
+    """Four numbers from which `inverse_trace` computes tr S^-1 for view v; S is the Schur complement of the module.
 
-    A begins at number j = `first` and C at j = `last`: (0, 9) for the position, (9, 0) for the rotation.
+    The numbers are det A, the sum of the principal 2 x 2 minors of S det A, the determinant of S det A, and tr A.
+
+    Number j of the view's information is `sums[v + j * step]`. A begins at number `first` and C at number `last`: (0,
+    9) for the position, (9, 0) for the rotation, for which A and C are exchanged.
     """
     a, g = read6(sums, v + first * step, step), read3(sums, v + 6 * step, step)
     (axx, axy, axz, ayy, ayz, azz), (cxx, cxy, cxz, cyy, cyz, czz) = a, read6(sums, v + last * step, step)
@@ -206,8 +211,9 @@ def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple
 
 @inlined
 def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> tuple[Number, Number]:
-    """Trace of S^-1, computed from the four results of `_schur`, and a flag. The flag is False if the trace is
-    infinite, because the corners leave a motion undetermined.
+    """Trace of S^-1, computed from the four results of `_schur`, and a flag that is True if the trace is finite.
+
+    The trace is infinite if the corners leave a motion undetermined.
     """
     fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
     return minors * det / rest, fixed
@@ -215,8 +221,9 @@ def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> t
 
 @inlined
 def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the camera's position in view v (entries `sums[v + j * step]`), and the flag of `inverse_trace`:
-    False if the variance is infinite.
+    """Variance of the camera's position in view v, in units of `deviation_per_variance` squared.
+
+    Number j of the view's information is `sums[v + j * step]`. The second result is False if the variance is infinite.
     """
     det, minors, rest, trace = _schur(sums, v, step, 0, 9)
     return inverse_trace(det, minors, rest, trace)
@@ -224,8 +231,9 @@ def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
 
 @inlined
 def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the camera's rotation in view v (entries `sums[v + j * step]`), and the flag of `inverse_trace`:
-    False if the variance is infinite. The formula is that of the position with A and C exchanged.
+    """Variance of the camera's rotation in view v, in units of `deviation_per_variance` squared.
+
+    Arguments and second result as in `variance`. The formula is that of the position with A and C exchanged.
     """
     det, minors, rest, trace = _schur(sums, v, step, 9, 0)
     return inverse_trace(det, minors, rest, trace)
@@ -233,8 +241,9 @@ def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Num
 
 @inlined
 def log_det(sums: Any, v: Integer, step: Integer) -> Number:
-    """Logarithm of the determinant of the information about the camera's pose in view v (entries `sums[v + j * step]`).
-    This determinant is det A det S.
+    """Logarithm of the determinant of the information about the camera's pose in view v: log(det A det S).
+
+    Number j of the view's information is `sums[v + j * step]`.
     """
     det, _, rest, _ = _schur(sums, v, step, 0, 9)
     return np.log(rest / (det * det))
@@ -242,8 +251,9 @@ def log_det(sums: Any, v: Integer, step: Integer) -> Number:
 
 @inlined
 def meets(precision: Precision, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the information in view v (entries `sums[v + j * step]`) satisfies the limits of `precision`; ambiguity
-    is not tested.
+    """True if the variances of view v are within the limits of `precision`; ambiguity is not tested.
+
+    Number j of the view's information is `sums[v + j * step]`.
     """
     position, fixed = variance(sums, v, step)
     rotation, steady = rotation_variance(sums, v, step)
@@ -255,16 +265,18 @@ BODY_WIDTH = 24  # length of a row of `sums`; rows begin at multiples of 64 byte
 
 
 def gain_of(camera: Camera, first: Camera) -> float:
-    """Information per pixel of a camera relative to the information per pixel of the rig's first camera: the ratio of
-    the squared focal lengths.
+    """Ratio of the information per pixel of a camera to that of the rig's first camera.
+
+    This is the ratio of the squared focal lengths.
     """
     return float(np.prod(camera.focal_pixels)) / float(np.prod(first.focal_pixels))
 
 
 @inlined
 def about_body(moments: tuple[Number, ...], arm: Vector) -> tuple[Number, ...]:
-    """Information about the pose of a rig's body, 21 numbers, from the `moments` (15 numbers) of a landmark. The camera
-    is at the offset `arm` from the body's origin, metres.
+    """Information of a landmark about the pose of a rig's body, 21 numbers, from its `moments` for one camera.
+
+    The camera is at the offset `arm` from the body's origin, metres.
     """
     x, y, z = arm
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz = moments
@@ -282,10 +294,10 @@ def about_body(moments: tuple[Number, ...], arm: Vector) -> tuple[Number, ...]:
 
 @inlined
 def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Number]:
-    """Four numbers from which `inverse_trace` computes tr S^-1, with S = C - B A^-1 B^T. The first is det A. The next
-    two are the sum of the principal 2 x 2 minors, and the determinant, of the matrix S det A. The last is tr A.
+    """Four numbers from which `inverse_trace` computes tr S^-1, for the matrix S = C - B A^-1 B^T.
 
-    C and A are symmetric, six numbers each; B is given by its three rows.
+    The numbers are det A, the sum of the principal 2 x 2 minors of S det A, the determinant of S det A, and tr A. C and
+    A are symmetric, six numbers each; B is given by its three rows.
     """
     m, (_, det), (x, y, z) = adjugate3(a), invariants3(a), rows
     px, py, pz = symmetric3(m, x), symmetric3(m, y), symmetric3(m, z)
@@ -298,8 +310,9 @@ def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Numb
 
 @inlined
 def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number, Number, Number]:
-    """Four numbers of `_body_schur` for the position of the body in view v of `sums`, with A' in place of A. Then S = C
-    - B A'^-1 B^T is the information about the position if the rotation is estimated too.
+    """Result of `_body_schur` for S = C - B A'^-1 B^T: the information about the body's position in view v.
+
+    This S applies if the rotation is estimated too. Number j of the view's information is `sums[v + j * step]`.
     """
     x, y, z = v + 6 * step, v + 9 * step, v + 12 * step
     rows = read3(sums, x, step), read3(sums, y, step), read3(sums, z, step)
@@ -308,8 +321,9 @@ def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Numbe
 
 @inlined
 def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the body's position in view v (entries `sums[v + j * step]`), and the flag of `inverse_trace`: False
-    if the variance is infinite.
+    """Variance of the position of a rig's body in view v, in units of `deviation_per_variance` squared.
+
+    Number j of the view's information is `sums[v + j * step]`. The second result is False if the variance is infinite.
     """
     det, minors, rest, trace = _position_schur(sums, v, step)
     return inverse_trace(det, minors, rest, trace)
@@ -317,8 +331,10 @@ def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]
 
 @inlined
 def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the body's rotation in view v (entries `sums[v + j * step]`), and the flag of `inverse_trace`: False
-    if the variance is infinite. The formula is that of the position with C and A' exchanged and B transposed.
+    """Variance of the rotation of a rig's body in view v, in units of `deviation_per_variance` squared.
+
+    Arguments and second result as in `body_variance`. The formula is that of the position with C and A' exchanged and B
+    transposed.
     """
     x, far = v + 6 * step, 3 * step
     columns = read3(sums, x, far), read3(sums, x + step, far), read3(sums, x + 2 * step, far)
@@ -328,8 +344,9 @@ def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number
 
 @inlined
 def body_log_det(sums: Any, v: Integer, step: Integer) -> Number:
-    """Logarithm of the determinant of the information about the body's pose in view v (entries `sums[v + j * step]`).
-    This determinant is det A' det S.
+    """Logarithm of the determinant of the information about the body's pose in view v: log(det A' det S).
+
+    Number j of the view's information is `sums[v + j * step]`.
     """
     det, _, rest, _ = _position_schur(sums, v, step)
     return np.log(rest / (det * det))
@@ -337,8 +354,9 @@ def body_log_det(sums: Any, v: Integer, step: Integer) -> Number:
 
 @inlined
 def body_meets(precision: Precision, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the information in view v of a rig (entries `sums[v + j * step]`) satisfies the limits of `precision`;
-    ambiguity is not tested.
+    """True if the body's variances in view v of a rig are within the limits of `precision`; ambiguity is not tested.
+
+    Number j of the view's information is `sums[v + j * step]`.
     """
     position, fixed = body_variance(sums, v, step)
     rotation, steady = body_rotation_variance(sums, v, step)

@@ -76,8 +76,9 @@ def log_det_selection(
 
 
 class LogDeterminant:
-    """Base of the surrogates that `log_det_selection` returns. The methods `gains_of` and `choose` of a subclass
-    evaluate poses of tags of one size.
+    """Base of the surrogates that `log_det_selection` returns.
+
+    A subclass implements `log_det_of`, `gains_of` and `choose`.
     """
 
     label = "mean log det of the information"
@@ -108,16 +109,24 @@ class LogDeterminant:
             self.choose(e, pose)
 
     def log_det_of(self, numbers: FloatArray) -> Any:
-        """Log determinant of the information of one view, given as `numbers` `(width,)`."""
+        """Log determinant of the information in one view.
+
+        `numbers` `(width,)` are the information, in the order of the module `information`.
+        """
         raise NotImplementedError
 
     def gains_of(self, e: Evaluator, poses: Deployment) -> FloatArray:
-        """Gains `(N,)` of N poses of tags of one size, the tag size of evaluator `e`."""
+        """Gains of N poses, `(N,)`: the increase of the mean log determinant by a tag at each pose.
+
+        All tags have the size of evaluator `e`.
+        """
         raise NotImplementedError
 
     def choose(self, e: Evaluator, pose: Deployment) -> None:
-        """Add the information of a landmark chosen at `pose` to `sums`, and update the log determinants `known`; both
-        have an entry for each view. Evaluator `e` has the size of the landmark's tag.
+        """Add a landmark at `pose` to the chosen landmarks; evaluator `e` has the size of its tag.
+
+        Its information is added to `sums`, and the log determinants `known` are updated; both arrays have an entry for
+        each view.
         """
         raise NotImplementedError
 
@@ -132,7 +141,9 @@ def _gains(
     start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, prices: FloatArray, parts: Any,
     out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write into `out` `(N,)` the gains of the poses `start` to `stop - 1`.
+    """Write the gains of the poses `start` to `stop - 1` into `out` `(N,)`.
+
+    The gain of a pose is the increase of the mean log determinant by a landmark at this pose.
 
     Args:
         start, stop: range of the poses.
@@ -141,8 +152,8 @@ def _gains(
         parts: tuple of the arguments listed next (`positions` to `known`), in this order.
         positions: positions of the camera, metres, `(P, 3)`.
         sight, obstacles, axes, bands: see `kernels.evaluate_range`.
-        precision: size of the tags, and weight of their corners; its limits are not used.
-        sums: information of each view, `(P, D, WIDTH)`.
+        precision: size of the tags, and weight of their corners.
+        sums: information of each view, from the prior and the chosen landmarks, `(P, D, WIDTH)`.
         known: `log_det` of each view, `(P, D)`.
         out: receives the gains.
     """
@@ -167,7 +178,7 @@ def _gains(
 
 @kernel
 def _add(start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, parts: Any) -> None:
-    """Update `sums` and `known` (information and log determinant of each view) in place, for a landmark that is added.
+    """Add a landmark to the information `sums` and to the log determinants `known` of the views.
 
     The landmark is row 0 of `points` and `normals`, `(1, 3)`. Only views from the camera positions `start` to `stop -
     1` are updated. `parts` is as in `_gains`.
@@ -216,15 +227,17 @@ def _rig_gains(
     every: tuple[GroupCoverage, ...], tags: FloatArray, prices: FloatArray, positions: FloatArray, precision: Precision,
     sums: FloatArray, known: FloatArray, views: BodyViews, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write into `out` `(N,)` the gains of N poses.
+    """Write the gains of N poses for a rig into `out` `(N,)`.
+
+    The gain of a pose is the increase of the mean log determinant by a tag at this pose.
 
     Args:
-        every: sets of orientations with which the poses are covered, for each mount group.
+        every: orientations of the body with which each mount group (equal cameras) covers a tag at each pose.
         tags: centres and sides of the tags at the poses, see `tags_of`.
         prices: weight of each view (position and orientation) in the mean, relevance times probability, `(P, D)`.
         positions: positions of the body, `(P, 3)`, metres.
-        precision: size of the tags, and weight of their corners; its limits are not used.
-        sums: information of each view, `(P D, BODY_WIDTH)`.
+        precision: size of the tags, and weight of their corners.
+        sums: information of each view, from the prior and the chosen tags, `(P D, BODY_WIDTH)`.
         known: `body_log_det` of each view, `(P, D)`.
         views: working memory.
         out: receives the gains.
@@ -251,9 +264,9 @@ def _rig_add(
     every: tuple[GroupCoverage, ...], tags: FloatArray, positions: FloatArray, precision: Precision, sums: FloatArray,
     known: FloatArray, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Update `sums` and `known` (information and log determinant of each view) in place, for a landmark that is added.
+    """Add a tag to the information `sums` and to the log determinants `known` of a rig's views.
 
-    The landmark is the only pose in `every` and `tags`; the other arguments are as in `_rig_gains`.
+    The tag is the only one in `every` and `tags`; the other arguments are as in `_rig_gains`.
     """
     words, which, bits = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64), views.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):
@@ -302,8 +315,9 @@ class RigLogDeterminant(LogDeterminant):
         return self.sums.reshape(-1, self.width)
 
     def _shown(self, e: Evaluator, poses: Deployment) -> tuple[GroupCoverage, ...]:
-        """Sets of orientations with which the poses are covered, for each mount group; occlusion by landmarks is
-        ignored.
+        """Orientations of the body with which each mount group (equal cameras) covers a tag at each of the poses.
+
+        Landmarks do not hide each other here.
         """
         groups = tuple(with_sight(group, group.sight.unhidden()) for group in e.groups)
         return coverage_by_group(e, groups, e.positions, poses)

@@ -1,7 +1,8 @@
-"""Information of a rig's views, summed over pairs. A pair is a landmark and a view in which a camera of the rig sees
-it.
+"""Information of a rig's views (orientations of the body at a position), summed over the landmarks that are seen.
 
-Pairs are listed first, because a loop over listed pairs vectorises: number j of pair e lies at `work[j * BITS + e]`.
+Each pair of a landmark and a view in which a camera sees it is listed first, because a loop over listed pairs
+vectorises. Number j of pair e (`AT`) lies at `work[j * BITS + e]`. A word is 64 consecutive orientations, stored as the
+bits of an integer.
 """
 
 from typing import Any, NamedTuple
@@ -37,8 +38,9 @@ FIRST_MOMENT = np.uint64(13)
 
 
 class Mounts(NamedTuple):
-    """The fields of a `MountGroup` (mounts of equal cameras) that localisation needs. The tuple is copied in many
-    calls, so it has no further fields.
+    """Data of a `MountGroup` (mounts of a rig with equal cameras) that localisation needs.
+
+    Other data of the group are left out, because the tuple is copied in many calls.
     """
 
     number: int
@@ -54,7 +56,7 @@ class Mounts(NamedTuple):
 
 
 class GroupCoverage(NamedTuple):
-    """Coverage of K landmarks by the M cameras of a mount group from P positions of the body."""
+    """Coverage of K landmarks by the M equal cameras of a mount group from P positions of the rig's body."""
 
     mounts: Mounts
     """Mounts of the cameras."""
@@ -65,8 +67,9 @@ class GroupCoverage(NamedTuple):
 def coverage_by_group(
     evaluator: Evaluator, groups: tuple[MountGroup, ...], positions: FloatArray, deployment: Deployment
 ) -> tuple[GroupCoverage, ...]:
-    """Coverage of a deployment from `positions` `(P, 3)`, for each of `groups`: the evaluator's mount groups, or mount
-    groups derived from these.
+    """Coverage of a deployment by a rig at `positions` `(P, 3)` of its body, for each mount group (equal cameras).
+
+    `groups` are the evaluator's mount groups, or changed copies of these.
     """
     blockers, slack = evaluator.scene.room.blockers(), np.zeros(len(deployment))
     poses = deployment.positions, deployment.normals, slack
@@ -75,7 +78,10 @@ def coverage_by_group(
 
 
 def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mounts, ...]:
-    """`Mounts` for each of `groups`: the evaluator's mount groups, or mount groups derived from these."""
+    """`Mounts` for each mount group (equal cameras) of a rig.
+
+    `groups` are the evaluator's mount groups, or changed copies of these.
+    """
     cameras = evaluator.scene.cameras
     each = enumerate(zip(groups, dict.fromkeys(cameras), strict=True))
     return tuple(Mounts(j, p.sight, p.offsets, p.axes, gain_of(kind, cameras[0])) for j, (p, kind) in each)
@@ -83,16 +89,20 @@ def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mou
 
 @inlined
 def numbers_of(precision: Precision) -> np.uint64:
-    """Number of sums that the decision for a view of a rig needs: 26 if the two poses of a single tag must be
-    distinguished, else 21. A row of `sums` may be longer.
+    """Number of sums over landmarks that decide if a view of a rig is localised.
+
+    21 sums are the information about the body's pose. Another 5 are needed if the two poses of a single tag must be
+    distinguished.
     """
     return np.uint64(BODY_NUMBERS + MIRRORED if resolves_ambiguity(precision) else BODY_NUMBERS)
 
 
 @inner
 def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.uint64:
-    """Set up a view with zero sums for each orientation whose bit is set in `left`, a word of 64 orientations. Return
-    the number of views.
+    """Set up a view for each orientation in the bit set `left` of a word (64 orientations), with zero information.
+
+    Returns:
+        number of views.
     """
     bits, number, rows, count = views.lists[ORIENTATION], views.lists[NUMBER], views.rows, ZERO
     views.lists[TAKEN, 0], views.lists[TAKEN, 1] = left, ZERO
@@ -109,8 +119,9 @@ def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.ui
 
 @inner
 def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Integer) -> None:
-    """Prefetch the rows of `sums` `(V, width)` that `load_sums` reads for the first `count` views. Row `first` belongs
-    to the first orientation of the word.
+    """Prefetch the rows of `sums` `(V, width)` that `load_sums` reads for the first `count` views.
+
+    Row `first` belongs to the first orientation of the views' word (64 orientations).
     """
     width, bits = np.uint64(sums.shape[1]), views.lists[ORIENTATION]
     for v in range(count):
@@ -121,8 +132,9 @@ def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Int
 
 @inner
 def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add to the sums of each of the first `count` views its row of `sums` `(V, width)`. The views are orientations of
-    one word; row `first` belongs to the first orientation of this word.
+    """Add to the information of each of the first `count` views its row of `sums` `(V, width)`.
+
+    The views are orientations of one word (64 orientations); row `first` belongs to the first of these orientations.
     """
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
@@ -132,8 +144,9 @@ def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: Bod
 
 @inner
 def store_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add the sums of each of the first `count` views to its row of `sums` `(V, width)`. The views are orientations of
-    one word; row `first` belongs to the first orientation of this word.
+    """Add the information of each of the first `count` views to its row of `sums` `(V, width)`.
+
+    The views are orientations of one word (64 orientations); row `first` belongs to the first of these orientations.
     """
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
@@ -161,20 +174,20 @@ def add_to_body(
     mounts: Mounts, m: Integer, w: Integer, seen: np.uint64, place: Vector, tag: Square, sign: float,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """List the pairs of a landmark and each view in which one mount of a rig sees this landmark.
+    """List each pair of a landmark and a view in which one camera of a rig sees this landmark.
 
-    `add_up` adds the information of the listed pairs to the sums of the views. It is also called here if the list is
-    full.
+    `add_up` adds the information of the listed pairs to the information of the views. It is also called here when the
+    list is full.
 
     Args:
-        mounts, m: mount m of the mount group `mounts`.
-        w, seen: index w of a word (64 orientations of the body), and bit set of its orientations with which the mount
+        mounts, m: the camera, mount m of the mount group `mounts`.
+        w, seen: index w of a word (64 orientations of the body), and bit set of its orientations with which the camera
             sees the landmark. Orientations without a view are ignored.
         place: position of the body, metres.
         tag: centre and sides of the landmark, result of `tag_of`.
         sign: 1 to add the information, -1 to subtract it.
         precision: limits of a localised view, with the weight of each corner.
-        views: working memory with the views of word w, their sums and the list of pairs.
+        views: working memory with the views of word w, their information and the list of pairs.
     """
     taken = views.lists[TAKEN]
     left, filled = seen & taken[0], taken[1]
@@ -205,7 +218,7 @@ def add_to_body(
 
 @inner
 def add_up(precision: Precision, views: BodyViews) -> None:
-    """Add the information of the listed pairs of a landmark and a view to the sums of the views, and clear the list."""
+    """Add the information of the listed pairs of a landmark and a view to the views, and clear the list."""
     rows, work, whose, filled = views.rows, views.work, views.lists[WHOSE], views.lists[TAKEN, 1]
     _find_moments(work, precision.share, filled)
     if resolves_ambiguity(precision):
@@ -219,9 +232,7 @@ def add_up(precision: Precision, views: BodyViews) -> None:
 
 @inner
 def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
-    """Compute the information about the body's pose (21 numbers) for the first `filled` listed pairs, and write it to
-    `work`. All numbers are in one array, so that LLVM vectorises the loop.
-    """
+    """Compute the information about the body's pose (21 numbers) for the first `filled` pairs in `work`."""
     for i in range(whole(filled)):
         weight, numbers = work[AT[3] + i], moments(_square(work, i), share)
         found = about_body(numbers, read3(work, AT[4] + i, VIEW))
@@ -236,22 +247,25 @@ def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
 
 @inlined
 def _square(work: FloatArray, i: Integer) -> Square:
-    """Tag of the listed pair i, three vectors: offset of the tag's centre from the camera, and the vectors from the
-    centre to the midpoints of its right and upper edges, metres.
+    """Tag of pair i: three vectors, metres.
+
+    These are the offset of the tag's centre from the camera, and the vectors from the centre to the midpoints of the
+    right and of the upper edge.
     """
     return read3(work, i, VIEW), read3(work, AT[7] + i, VIEW), read3(work, AT[10] + i, VIEW)
 
 
 @inlined
 def _shares(found: Any, weight: float) -> Vector:
-    """Contributions to the sums (`share_of`) of the three numbers in `found`: each number times `weight`, rounded."""
+    """Results of `share_of` for the three numbers in `found`: each number times `weight`, rounded."""
     return share_of(found[0], weight), share_of(found[1], weight), share_of(found[2], weight)
 
 
 @inner
 def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
-    """Compute the `mirrored_numbers`, which tell if a tag's two poses can be distinguished, for the first `filled`
-    listed pairs, and write them to `work`.
+    """Compute the `mirrored_numbers` for the first `filled` pairs in `work`.
+
+    They tell if a tag's two poses can be distinguished.
     """
     for i in range(whole(filled)):
         weight = work[AT[3] + i]
@@ -262,8 +276,9 @@ def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
 
 @inner
 def _seen_by_group(shown: GroupCoverage, p: Integer, k: Integer, w: Integer) -> np.uint64:
-    """Bit set of the orientations of word w with which at least one camera of a group covers landmark k from position
-    p.
+    """Bit set of the orientations with which at least one of a group of equal cameras covers landmark k.
+
+    The set is limited to word w (64 orientations), with the body at position p.
     """
     seen = ZERO
     for m in range(len(shown.sets)):
@@ -276,8 +291,9 @@ def _add_of_group(
     shown: GroupCoverage, p: Integer, which: np.ndarray, w: Integer, place: Vector, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add the information of the landmarks with the indices `which` to the views of word w: the part that the cameras
-    of one mount group contribute, see `add_of_all`.
+    """List the pairs of the landmarks `which` (indices) and the views in which cameras of one mount group see them.
+
+    The views have orientations of word w (64 orientations); see `add_of_all`.
     """
     for k in which:
         tag = tag_of(tags, k)
@@ -287,7 +303,10 @@ def _add_of_group(
 
 @inner
 def seen_by_any(every: tuple[GroupCoverage, ...], p: Integer, k: Integer, w: Integer) -> np.uint64:
-    """Bit set of the orientations of word w with which at least one camera covers landmark k from position p."""
+    """Bit set of the orientations with which at least one camera of a rig covers landmark k.
+
+    The set is limited to word w (64 orientations), with the body at position p.
+    """
     seen = ZERO
     for shown in literal_unroll(every):
         seen |= _seen_by_group(shown, p, k, w)
@@ -299,10 +318,10 @@ def add_of_all(
     every: tuple[GroupCoverage, ...], p: Integer, which: np.ndarray, w: Integer, place: Vector, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add the information of the landmarks with the indices `which` to the sums of the views of word w, for all cameras
-    of a rig. The body is at position p, with the coordinates `place`, metres.
+    """Add the information of the landmarks `which` (indices) to the views in which a rig's cameras see them.
 
-    `every` has the coverage for each mount group, `tags` is the result of `tags_of`.
+    The body is at position p, with the coordinates `place`, metres, and has the orientations of word w (64
+    orientations). `every` has the coverage for each mount group (equal cameras), `tags` is the result of `tags_of`.
     """
     for shown in literal_unroll(every):
         _add_of_group(shown, p, which, w, place, tags, precision, views)

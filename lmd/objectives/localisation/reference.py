@@ -165,7 +165,7 @@ def decided(
 def _judged(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Mask of the views within the limits `asked`, and variance of the camera's position in each view, `(A,)` each."""
+    """Mask `(A,)` of the views within the limits `asked`, and variance of the camera's position in each."""
     has_precision, one, trace = meets, has_one_pose, variance
     if scene.rig is not None:
         has_precision, one, trace = body_meets, body_has_one_pose, body_variance
@@ -195,7 +195,7 @@ def log_det_of(scene: Scene, sums: FloatArray) -> FloatArray:
 def reference_views(
     evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """See `evaluation.localised_views`; the results are computed by the reference."""
+    """Compute the fields of `evaluation.ViewValues` with the NumPy reference; arguments as in `localised_views`."""
     scene, axes, places = evaluator.scene, evaluator.scene.orientations.axes, evaluator.positions
     weights = np.broadcast_to(evaluator.weights[:, : len(axes)], (len(places), len(axes)))
     covered, localised = np.empty((2, len(positions), len(places)), dtype=np.int64)

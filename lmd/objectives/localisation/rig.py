@@ -43,7 +43,10 @@ VIEWS_AT_ONCE = 1 << 16  # greatest number of views in memory, 8 bytes per landm
 def rig_views(
     evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """See `evaluation.localised_views`; the precision is in units of the first camera's `deviation_per_variance`."""
+    """Compute the fields of `evaluation.ViewValues` for a rig; arguments as in `evaluation.localised_views`.
+
+    The precision is in units of the first camera's `deviation_per_variance`.
+    """
     size, orientations = len(evaluator.positions), evaluator.axes.shape[1]
     covered, localised = np.zeros((2, len(positions), size), dtype=np.int64)
     kept = np.full((len(positions), size, orientations) if keep else (0, 0, 0), np.inf)
@@ -194,7 +197,7 @@ def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, p
 
 @kernel
 def _decide(precision: Precision, sums: FloatArray, several: BoolArray, views: BodyViews, met: BoolArray) -> None:
-    """Write into `met` `(N,)` True for the views within the limits of `precision`.
+    """Write into `met` `(N,)` True for each view of a rig that is within the limits of `precision`.
 
     `sums` `(N, width)` is the information of the views; `several` `(N,)` is True for views of two or more landmarks.
     """

@@ -1,4 +1,4 @@
-"""Versions, for a rig, of the functions that `lmd.objectives.localisation.views` declares."""
+"""Functions that `lmd.objectives.localisation.views` declares, in their versions for a rig."""
 
 from typing import Any
 
@@ -105,9 +105,7 @@ def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gain
 
 @inlined
 def _tag(k: Integer, pose: Any, precision: Precision) -> Square:
-    """Three vectors of landmark k at `pose`: its centre, and the vectors from the centre to the midpoints of its right
-    and upper edges, metres.
-    """
+    """Centre of landmark k at `pose`, and vectors from it to the midpoints of the right and upper edges, metres."""
     right, up = upright_sides(half_of(precision, k), pose[1])
     return pose[0], right, up
 

@@ -70,8 +70,9 @@ def mixed(located: Any, covered: Any, weight: float) -> Any:
 
 @inner
 def _find_turns(state: Any, scratch: Any) -> None:
-    """Fill the rows `LOST` and `GAINED` at touched positions: the views in which a landmark other than the moving one
-    disappears or appears.
+    """Find the views in which the move makes a landmark, other than the moving one, disappear or appear.
+
+    The views are written to the rows `LOST` and `GAINED` at the touched positions.
     """
     lost, gained, trial = scratch.sets[LOST], scratch.sets[GAINED], scratch.coverage
     for q in trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]]:
@@ -85,14 +86,16 @@ def _decide_word(
     where: Any, lost: np.uint64, gained: np.uint64, has: np.uint64, several: np.uint64, field: Any, state: Any,
     scratch: Any,
 ) -> Any:  # fmt: skip
-    """Bit set of the localised views after the move, among the orientations of word w at position q.
+    """Bit set of the orientations with which the view is localised after the move, at one position.
+
+    Only orientations of one word (64 orientations) are decided. The sets below have the orientations of this word.
 
     Args:
-        where: k, q and w: indices of the moving landmark, of the position and of the word.
-        lost, gained: views in which at least one camera ceases to see a landmark, and views in which at least one
-            camera begins to see a landmark.
-        has: views that cover n landmarks or more after the move.
-        several: views that cover two landmarks or more after the move.
+        where: index k of the moving landmark, q of the position, and w of the word.
+        lost, gained: orientations with which some camera ceases to see a landmark, and with which some camera begins
+            to.
+        has: orientations that cover n landmarks or more after the move.
+        several: orientations that cover two landmarks or more after the move.
         field, state, scratch: field, state and scratch of localisation.
     """
     k, q, w = where
@@ -107,17 +110,16 @@ def _decide_word(
 
 @inlined
 def _sum_up(q: Integer, located: np.int64, covered: np.int64, weight: float, values: Any) -> None:
-    """Write quantised L (`located`), P_n (`covered`) and the value of position q to `values`, which is a state or a
-    scratch.
-    """
+    """Write L (`located`), P_n (`covered`) and the value (`mixed`) of position q to `values`, a state or a scratch."""
     values.located[q], values.coverage.units[q], values.units[q] = located, covered, mixed(located, covered, weight)
 
 
 @inner
 def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: Any) -> None:
-    """Compute the values at `positions` after the move, and write them to the scratch. They follow from the
-    orientations with which landmark k is seen at the place tried (`FRESH`), and from the changed occlusion of other
-    landmarks.
+    """Compute the values of `positions` after the move, and write them to the scratch.
+
+    They follow from the orientations with which landmark k is seen at its new place, and from the changed occlusion of
+    other landmarks.
     """
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
     counts, enough, digits = known.counts, known.counts.sets[ENOUGH], trial.digits
@@ -148,8 +150,9 @@ def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: A
 
 @inner
 def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write into `scratch.units` upper bounds on the values with landmark k at `pose` on a surface. `pose` `(6,)` is
-    position (metres) and unit normal.
+    """Write upper bounds on the values (`mixed`) of all positions after a move of landmark k into `scratch.units`.
+
+    `pose` `(6,)` is the new position (metres) and unit normal of the landmark.
     """
     cover, known, trial, i = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
     begin_move(i, pose, surface, cover, known, trial)
@@ -168,7 +171,7 @@ def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state
 
 @inner
 def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Replace the bounds of `bound_move` in `scratch.units` by the exact values."""
+    """Replace the bounds of `bound_move` in `scratch.units` by the exact values of the positions."""
     cover, known, trial, i = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
     find_pairs(known, i, NEW_PLACE, cover, trial)
     positions = trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]]
@@ -178,8 +181,9 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) -> None:
-    """Update the sums of information in the state by the move tried last (`sign` 1), or undo that update (`sign` -1).
-    When the function is called, the state must have landmark k at its old place.
+    """Update the information of the state's views for the move tried last (`sign` 1), or undo this update (`sign` -1).
+
+    In both cases, landmark k must be at its old place in the state.
     """
     if not field.asks:
         return
@@ -197,7 +201,7 @@ def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) 
 
 @inner
 def _exchange(state: Any, scratch: Any) -> None:
-    """Swap the values of state and scratch at all positions that the move may affect."""
+    """Swap values, L and localised views between state and scratch at all positions that the move may affect."""
     first, last, localised = scratch.coverage.lists[FIRST], scratch.coverage.lists[LAST], scratch.sets[LOCALISED]
     for s in range(scratch.coverage.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):
@@ -209,7 +213,7 @@ def _exchange(state: Any, scratch: Any) -> None:
 
 @inner
 def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Move landmark k to the place tried last, see `lmd.incremental.trial.carry_out`."""
+    """Move landmark k to the new place of the last trial, see `lmd.incremental.trial.carry_out`."""
     see_rest(state.coverage, np.uint64(k), field.coverage, scratch.coverage)
     _change_sums(np.uint64(k), 1.0, field, state, scratch)
     exchange_place(field.coverage, k, state.coverage, scratch.coverage)
@@ -226,8 +230,10 @@ def undo_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def _meet_anew(q: Integer, w: Integer, field: Any, state: Any, scratch: Any) -> np.uint64:
-    """Sum the information of all landmarks in the views of word w at position q, and return the set of the views within
-    the limits of `Precision`.
+    """Sum the information of all landmarks in the views of word w (64 orientations) at position q into a new state.
+
+    Returns:
+        bit set of the orientations whose views are within the limits of `Precision`.
     """
     known, seen = state.coverage, ZERO
     for k in range(np.uint64(known.poses.shape[1])):
@@ -239,7 +245,7 @@ def _meet_anew(q: Integer, w: Integer, field: Any, state: Any, scratch: Any) -> 
 
 @kernel
 def sum_up_anew(field: Any, state: Any, scratch: Any) -> None:
-    """Compute the sums of all views, and the values at all positions, from all landmarks of a state."""
+    """Compute the information of all views, and the values of all positions, from all landmarks of a state."""
     known, weights = state.coverage, field.coverage.weights
     for q in range(np.uint64(len(state.units))):
         located = np.int64(0)

@@ -1,16 +1,15 @@
 """Working memory for up to 64 views: the views from one position with the 64 orientations of one word of a bit set.
 
-Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. Camera and rig share this source,
-which is compiled separately for each. A single camera has one position for all orientations, so a landmark has one set
-of moments (sums over its corners, `information.moments`) for all views of a position. A camera of a rig has another
-position for each orientation. So moments are computed for each pair of a landmark and a view (`pairs`); for a single
-camera, moments for each pair would be up to 64 times the work.
+The information of a view is a row of numbers. Number j of view v lies at `rows[j * BITS + v]`, so that loops over views
+vectorise. Camera and rig share this source, which is compiled separately for each.
+
+A single camera has one position for all orientations, so a landmark has one set of `information.moments` for all views
+of a position. A camera of a rig has another position for each orientation. So moments are computed for each pair of a
+landmark and a view (`pairs`). For a single camera, this would be up to 64 times the work.
 
 The module also declares the functions called by `trial` that differ for camera and rig. These functions handle
-landmarks that appear in views or disappear from views.
-
-For a single camera (`camera_changes`), a landmark is hidden at a position for all orientations or for none, and has one
-set of moments per position. For a rig (`rig_changes`), occlusion and moments depend on mount and orientation.
+landmarks that appear in views or disappear from views. For a single camera (`camera_changes`), a landmark is hidden at
+a position for all orientations or for none. For a rig (`rig_changes`), occlusion depends on mount and orientation.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -61,7 +60,7 @@ LEFT, TRIED = 0, 1  # moments of the moving landmark at its old place and at the
 
 
 class CameraViews(NamedTuple):
-    """Working memory for up to 64 views of a single camera, for one position and the orientations of one word."""
+    """Working memory for up to 64 views of a single camera, for one position and 64 orientations (one word)."""
 
     lists: WordArray
     """`(4, BITS)` indices. Row `ORIENTATION` has the orientation of each view, row `NUMBER` the view of each
@@ -87,7 +86,7 @@ class CameraViews(NamedTuple):
 
 
 class BodyViews(NamedTuple):
-    """Working memory for up to 64 views of a rig, for one position and the orientations of the body in one word."""
+    """Working memory for up to 64 views of a rig, for one position of the body and 64 orientations (one word)."""
 
     lists: WordArray
     """See `CameraViews`."""
@@ -107,7 +106,7 @@ Views: TypeAlias = CameraViews | BodyViews
 
 
 def camera_views(size: int) -> CameraViews:
-    """New working memory for the views of a single camera, with entries for `size` positions."""
+    """New working memory for the views of a single camera, with moments for `size` positions."""
     lists, met, found = np.zeros((4, BITS), np.uint64), np.zeros(BITS, np.uint8), np.zeros(size, np.uint8)
     rows, weights, moments = np.zeros(WIDTH * BITS), np.zeros((2, BITS)), np.zeros((2, size, WIDTH))
     return CameraViews(lists, rows, met, weights, moments, found, np.zeros(WIDTH))
@@ -121,7 +120,10 @@ def body_views() -> BodyViews:
 
 @dispatched
 def is_met(views: Any, precision: Precision, v: Integer, several: Any) -> Any:
-    """True if view v is within the limits of `precision`; `several` is True if the view shows two landmarks or more."""
+    """True if the variances of view v are within the limits of `precision`, and its pose is unambiguous if required.
+
+    `several` is True if the view shows two landmarks or more.
+    """
 
 
 @is_met.register(CameraViews)
@@ -137,14 +139,15 @@ def _body_is_met(views: BodyViews, precision: Precision, v: Integer, several: An
 
 @inlined
 def whole(count: Integer) -> np.uint64:
-    """Number of views rounded up to a multiple of the vector length, so that loops need no scalar remainder."""
+    """Round a number of views up to a multiple of the vector length, so that loops over views have no remainder."""
     return (count + GROUP - ONE) & ~(GROUP - ONE)
 
 
 @inner
 def met_views(precision: Precision, views: Views, count: Integer, several: np.uint64) -> np.uint64:
-    """Bit set of the orientations whose views are within the limits of `precision`, among the first `count` views.
-    `several` is the bit set of the orientations with two landmarks or more in view.
+    """Bit set of the orientations of the views that are within the limits of `precision`.
+
+    The first `count` views are tested. `several` is the bit set of the orientations with two landmarks or more in view.
     """
     bits, met, good = views.lists[ORIENTATION], views.met, ZERO
     for v in range(whole(count)):
@@ -156,9 +159,10 @@ def met_views(precision: Precision, views: Views, count: Integer, several: np.ui
 
 @inlined
 def seen_twice(was: np.uint64, now: np.uint64, digits: WordArray) -> np.uint64:
-    """Bit set of the orientations with which two landmarks or more are seen after one landmark moves. `digits` `(J,)`
-    are the binary digits of the counts before the move. `was` and `now` are the orientations with which the moving
-    landmark is seen before and after the move.
+    """Bit set of the orientations with which two landmarks or more are seen after one landmark moves.
+
+    `digits` `(J,)` are the binary digits of the numbers of seen landmarks before the move, as bit sets. `was` and `now`
+    are the orientations with which the moving landmark is seen before and after the move.
     """
     found, change = ZERO, was ^ now
     for j in range(np.uint64(len(digits))):
@@ -169,8 +173,9 @@ def seen_twice(was: np.uint64, now: np.uint64, digits: WordArray) -> np.uint64:
 
 @inlined
 def landmark_moments(offset: Vector, normal: Vector, precision: Precision, k: Integer, row: FloatArray) -> None:
-    """Write into `row` `(WIDTH,)` the moments (`information.moments`) of landmark k, given its offset from the camera,
-    metres, and its unit normal.
+    """Write the `information.moments` of landmark k, and its `camera_residual`, into `row` `(WIDTH,)`.
+
+    `offset` is the landmark's offset from the camera, metres, and `normal` its unit normal.
     """
     right, up = upright_sides(half_of(precision, k), normal)
     (
@@ -184,8 +189,10 @@ def landmark_moments(offset: Vector, normal: Vector, precision: Precision, k: In
 def weigh(
     which: int, seen: np.uint64, offset: Vector, camera: Any, w: Integer, views: CameraViews, count: Integer
 ) -> None:
-    """Write into row `which` of `weights` the pixel density of a landmark in each of the first `count` views. The views
-    are orientations of word w; `seen` is the bit set of those with the landmark in view, the others get 0.
+    """Write the `pixel_density` of a landmark in each of the first `count` views into row `which` of `weights`.
+
+    The views are orientations of word w (64 orientations). `seen` is the bit set of the orientations with the landmark
+    in view; the other views get 0.
     """
     bits, weights = views.lists[ORIENTATION], views.weights[which]
     for v in range(count):
@@ -198,8 +205,9 @@ def weigh(
 
 @inner
 def add_moments(rows: FloatArray, moments: FloatArray, weights: FloatArray, sign: float, count: Integer) -> None:
-    """Add the contributions of a landmark with `moments` `(WIDTH,)`, times `sign`, to the sums `rows` of a camera's
-    views.
+    """Add the information of a landmark, times `sign`, to the information `rows` of a single camera's views.
+
+    `moments` `(WIDTH,)` belong to the landmark, `weights` to the landmark in each view.
     """
     for j in range(np.uint64(len(moments))):
         moment = moments[j]
@@ -211,8 +219,9 @@ def add_moments(rows: FloatArray, moments: FloatArray, weights: FloatArray, sign
 def replace_moments(
     rows: FloatArray, lost: FloatArray, gained: FloatArray, weights: FloatArray, count: Integer
 ) -> None:
-    """Replace one landmark by another in the sums `rows` of a camera's views: subtract the contributions of the moments
-    `lost`, and add those of the moments `gained`.
+    """Replace the information of one landmark by that of another in the information `rows` of a single camera's views.
+
+    `lost` are the moments of the landmark that is subtracted, `gained` those of the landmark that is added.
     """
     for j in range(np.uint64(len(lost))):
         old, new = lost[j], gained[j]
@@ -223,8 +232,10 @@ def replace_moments(
 
 @inlined
 def load_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
-    """Set up a view for each orientation whose bit is set in `left`, a word of 64 orientations, and prefetch the rows
-    of `sums` for these views. Row `first` belongs to the first orientation of the word.
+    """Set up a view for each orientation in the bit set `left` of a word (64 orientations).
+
+    The rows of `sums` with the information of these views are prefetched. Row `first` belongs to the first orientation
+    of the word.
 
     Returns:
         number of views that were set up.
@@ -240,7 +251,7 @@ def load_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraVi
 
 @inlined
 def read_rows(first: Integer, sums: FloatArray, views: CameraViews, count: Integer) -> None:
-    """Copy the rows of `sums` that `load_rows` has prefetched into the first `count` views."""
+    """Copy the rows of `sums` that `load_rows` has prefetched into the first `count` views of the working memory."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(np.uint64(WIDTH)):
@@ -252,10 +263,11 @@ def add_to_sums(
     moments: FloatArray, seen: np.uint64, offset: Vector, look: Any, w: Integer, sign: float, first: Integer,
     sums: FloatArray,
 ) -> None:  # fmt: skip
-    """Add the contributions of a landmark with `moments` `(WIDTH,)`, times `sign`, to rows of `sums`.
+    """Add the information of a landmark, times `sign`, to the rows of `sums` for several views.
 
-    The rows belong to the orientations `seen` (bits of word w); row `first` belongs to the first orientation of the
-    word. `offset` is the landmark's offset from the camera, metres; `look` has the model of sight and the axes.
+    The views are the orientations `seen`, bits of word w (64 orientations). Row `first` belongs to the first
+    orientation of the word. `moments` `(WIDTH,)` are those of the landmark, `offset` is its offset from the camera,
+    metres. `look` has the camera's model of sight and the axes.
     """
     while seen:
         bit = lowest(seen)
@@ -267,12 +279,13 @@ def add_to_sums(
 
 @dispatched_call
 def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: Any) -> Any:
-    """Find the orientations with which landmark k is seen at the place tried, and write them to the row `FRESH` of the
-    scratch. An orientation may be left out if it cannot change whether its view is localised.
+    """Find the orientations with which landmark k is seen at its new place, and write them to the row `FRESH`.
+
+    An orientation may be left out if it cannot change whether its view is localised.
 
     Args:
         known, trial: state and scratch of coverage.
-        k: the landmark.
+        k: the moving landmark.
         n: number of landmarks that must be covered.
         localised: bit sets of the localised views, `(Q, W)`.
         cover: field of coverage.
@@ -284,29 +297,31 @@ def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: A
 
 @dispatched_call
 def see_touched(known: Any, k: Integer, n: Integer, positions: WordArray, cover: Any, trial: Any) -> None:
-    """Repeat `see_place` at the `positions` marked as `TOUCHED`, from which the move changes the occlusion of a
-    landmark. The result is written to `FRESH`.
-    """
+    """Repeat `see_place` at the touched `positions`, from which the move changes the occlusion of a landmark."""
 
 
 @dispatched_call
 def see_rest(known: Any, k: Integer, cover: Any, trial: Any) -> None:
-    """Complete `FRESH` before a move is carried out: find the orientations with which landmark k is seen at the place
-    tried, those included that `see_place` has left out.
+    """Find the orientations that `see_place` has left out, before the move of landmark k is carried out.
+
+    The row `FRESH` then has all orientations with which the landmark is seen at its new place.
     """
 
 
 @dispatched_call
 def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> None:
-    """Add to `lost` `(Q, W)` the orientations with which at least one camera ceases to see a landmark other than the
-    moving one. Add to `gained` `(Q, W)` the orientations with which at least one camera begins to see such a landmark.
+    """Find the orientations with which the move makes a landmark other than the moving one disappear or appear.
+
+    Orientations with which some camera ceases to see such a landmark are added to `lost` `(Q, W)`. Orientations with
+    which some camera begins to see one are added to `gained` `(Q, W)`.
     """
 
 
 @overridable
 def clear_moments(views: Any, p: Integer) -> None:
-    """Discard the stored moments (`information.moments`) of the moving landmark as seen from position p. For a rig, no
-    moments are stored.
+    """Discard the stored `information.moments` of the moving landmark as seen from position p.
+
+    For a rig, no moments are stored.
     """
 
 
@@ -314,8 +329,9 @@ def clear_moments(views: Any, p: Integer) -> None:
 def sum_views(
     known: Any, k: Integer, p: Integer, w: Integer, left: np.uint64, field: Any, state: Any, scratch: Any
 ) -> Any:
-    """Set up a view for each orientation in `left` (bits of word w) at position p, and compute the sums of information
-    in these views after the move.
+    """Set up a view for each orientation in the bit set `left`, and compute its information after the move.
+
+    The views are at position p, and `left` is limited to word w (64 orientations).
 
     Returns:
         number of views that were set up.
@@ -327,14 +343,18 @@ def change_sums(
     known: Any, k: Integer, p: Integer, w: Integer, changed: np.uint64, sign: float, field: Any, state: Any,
     scratch: Any,
 ) -> None:  # fmt: skip
-    """Change the sums of information of the views `changed` (bits of word w, position p) by the effect of a move, times
-    `sign`.
+    """Add the change that a move makes in the information of several views, times `sign`, to the state.
+
+    The views are the orientations `changed`, bits of word w (64 orientations), at position p.
     """
 
 
 @dispatched
 def sum_anew(known: Any, p: Integer, w: Integer, seen: np.uint64, field: Any, state: Any, scratch: Any) -> Any:
-    """Set up the views `seen` (bits of word w) at position p, and sum the information of all landmarks in these views.
+    """Sum the information of all landmarks in a view for each orientation in the bit set `seen`.
+
+    The views are at position p, and `seen` is limited to word w (64 orientations). The sums are also added to the
+    state.
 
     Returns:
         number of views that were set up.
@@ -343,5 +363,5 @@ def sum_anew(known: Any, p: Integer, w: Integer, seen: np.uint64, field: Any, st
 
 @inlined
 def first_row(p: Integer, w: Integer, state: Any) -> Any:
-    """Index of the row of `sums` for the first orientation of word w at position p."""
+    """Index of the row of `sums` (information of the views) for position p and the first orientation of word w."""
     return (p * np.uint64(state.localised.shape[1]) + w) * VIEW

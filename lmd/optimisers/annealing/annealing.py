@@ -1,7 +1,7 @@
 """Simulated annealing of landmarks on the surfaces of a room.
 
-An orientation counts only if at least n landmarks are seen, so good deployments have clusters of about n landmarks. A
-run from a random start therefore has up to three stages:
+An orientation of the camera counts only if at least n landmarks are seen, so good deployments of K landmarks have
+clusters of about n landmarks. A run from a random start therefore has up to three stages:
 
 1. K/n *stacks* (groups of n coincident landmarks) are annealed without occlusion. A stack acts as one landmark of a
    problem with n = 1, which is smaller, smoother and faster to evaluate.
@@ -12,8 +12,9 @@ run from a random start therefore has up to three stages:
    all landmarks together (`ascent`) finds the local optimum. Single moves do not suffice, because their gains are
    smaller than the sampling error.
 
-The annealing ("walk") mostly maximises a `surrogate` of the problem. From time to time the present deployment is
-evaluated on the problem itself, which costs an evaluation of the budget.
+Stages 1 and 2 are random walks: sequences of random moves, each of which is accepted or rejected. A walk mostly
+maximises a simplified problem (`surrogate`). From time to time the present deployment is evaluated on the full problem,
+which costs an evaluation of the budget.
 """
 
 import math
@@ -66,22 +67,23 @@ SMALLEST_SIZE = 0.2  # size of footprints, relative to the true size, when the s
 class Annealing(DeploymentSearch):
     """Simulated annealing of stacks of landmarks and then of single landmarks, which lie flat (flush) on a surface.
 
-    A start that is not random (`uniform`, `file`) is improved without stacks. Its stage has the conditions `given`, and
-    footprints of their true size from the beginning. Landmarks are flush, because tilting a landmark never helps inside
-    a cuboid.
+    A start that is not random (`uniform`, `file`) is improved in a single stage, without stacks and with footprints of
+    true size. Landmarks are flush, because tilting a landmark never helps inside a cuboid.
+
+    The conditions of a stage are numbers such as temperatures and step sizes. They are given as a `Stage`, or as a
+    mapping of the fields of `Stage` that differ from the default.
 
     Args:
-        stacked: conditions of the stage that moves stacks. `stacked`, `single`, `sampled`, `given` and `chosen` are
-            each a `Stage`, or a mapping of the fields that differ from the default stage.
+        stacked: conditions of the stage that moves stacks.
         single: conditions of the stage that moves single landmarks after the stacks are separated.
-        sampled: conditions that replace `single` for an objective with a sampling (module docstring); they keep the
-            walk from overfitting its samples.
-        given: conditions of the only stage if the start is given. The temperature is higher than in `single`, because
-            the start may be bad; the objective is as smooth as in `sampled`.
+        sampled: conditions that replace `single` for an objective that is evaluated on random samples of poses. They
+            smooth the objective more, so that the walk does not overfit the samples.
+        given: conditions of the single stage if the start is not random. The temperature is higher than in `single`,
+            because the start may be bad. If the objective is evaluated on samples, it is smoothed as in `sampled`.
         chosen: conditions that replace `given` after a greedy start; a run starts greedily if the objective allows no
             stacks.
         stacked_share: share of the budget spent on stacks.
-        climb_share: share of the budget spent on the ascent, for an objective with a sampling.
+        climb_share: share of the budget spent on the gradient ascent, if the objective is evaluated on samples.
         walkers: largest number of walks that move landmarks at the same time, see `Surrogate`.
         seed: see `Optimiser`.
 
@@ -152,7 +154,7 @@ class Annealing(DeploymentSearch):
         return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _begin(self, problem: Problem, stack: int, limit: float, stop: Callable[[], bool]) -> int:
-        """Draw the start of the run: greedily, as stacks if the budget suffices, or as single landmarks.
+        """Set the start of the run: a greedy choice, or random stacks if the budget suffices, or single landmarks.
 
         Args:
             problem: the problem.
@@ -196,7 +198,8 @@ class Annealing(DeploymentSearch):
             left: number of landmarks that may still be moved before the walk ends.
 
         Returns:
-            number of moved landmarks; deployment that is to be evaluated, None if there is no candidate for the best.
+            number of moved landmarks, and the deployment to evaluate on the full problem; None instead of a deployment
+            if none may be the best, or if the rest of the budget is too small for an evaluation.
         """
         count, stack = problem.count, surrogate.stack
         if self.in_stacks and used >= self.stacked_share:
@@ -220,7 +223,7 @@ class Annealing(DeploymentSearch):
         return moves * each + count, self.walked
 
     def _climb(self, problem: Problem, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Do some steps of the gradient ascent.
+        """Do some steps of the gradient ascent; see `ascent`.
 
         Args:
             problem: the problem.
@@ -228,8 +231,8 @@ class Annealing(DeploymentSearch):
             left: number of landmarks that may still be moved before the run ends.
 
         Returns:
-            number of moved landmarks; deployment that is to be evaluated, None if the rest of the budget is too small
-            for a step.
+            number of moved landmarks, and the deployment to evaluate; None instead of a deployment if the rest of the
+            budget is too small for a step.
         """
         count, each = problem.count, PLACES_TRIED * problem.free_count
         steps = int(min(ASCENT_STEPS, (left - count) / each))
@@ -278,10 +281,10 @@ class Annealing(DeploymentSearch):
         return self.best
 
     def _mean(self, problem: Problem) -> Deployment:
-        """Deployment that results from a phase of the walk of single landmarks.
+        """Deployment that is evaluated after a phase of the walk of single landmarks.
 
-        For an objective on random samples, each landmark is at the mean of its places in the walk. On the grid, or
-        after stacks, whose growing footprints push landmarks apart, each landmark is at its last place.
+        If the objective is evaluated on random samples, each landmark is at the mean of its places in the walk.
+        Otherwise, or after a stage with stacks, each landmark is at its last place.
         """
         if problem.objective.sampling is None or self.angles is not None:
             return self.here
@@ -289,9 +292,10 @@ class Annealing(DeploymentSearch):
         return self.mean_places.add(self.here)
 
     def _separated(self, problem: Problem, stack: int, size: float) -> Deployment:
-        """Separate the landmarks of each stack so that footprints of `size` times their true size do not overlap.
+        """Deployment of all landmarks, in which those of each stack are moved apart.
 
-        A landmark that belongs to no stack keeps its place in the start. `stack` is the number of landmarks in a stack.
+        Footprints scaled by the factor `size` do not overlap. A landmark that belongs to no stack is at its place in
+        the start. `stack` is the number of landmarks in a stack.
         """
         assert self.angles is not None, "there are stacks"
         distance = STACK_SPREAD * size * problem.scene.spacing

@@ -1,14 +1,18 @@
 """Gradient ascent of all landmarks together, the last stage of annealing for objectives on random samples of poses.
 
-A walk (random moves of single landmarks) on samples does not reach a local optimum, because the gain of a small step of
-one landmark is smaller than the sampling error. In the ascent each sample is used for the slopes of all landmarks, and
-a step averages the slopes over samples.
+Random moves of single landmarks do not reach a local optimum, because the gain of a small move is smaller than the
+sampling error. The ascent moves all landmarks in each step. A landmark moves along its surface according to its slope:
+the derivatives of the objective with respect to the landmark's coordinates u and v on the surface.
 
-The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference (f(x + d) -
-f(x - d)) / 2 d. The values f are exact on the sample, occlusion included. So any objective with a field (an incremental
-evaluator, `lmd.incremental.field`) can be maximised. The step d is a few millimetres. Neighbouring landmarks are just
-far enough apart not to hide each other; a larger d would smooth the onset of occlusion and push these landmarks further
-apart. The steps follow Adam (Kingma and Ba, 2015): steps are smaller where samples disagree about the direction.
+The objective f is smoothed (`walk`), and its slope is computed as a central difference with a step d:
+
+    (f(x + d) - f(x - d)) / (2 d).
+
+f is computed on random samples of poses, with occlusion, and the slopes are averaged over the samples. f must have an
+incremental evaluator (`lmd.incremental.field`), which computes f after a move of one landmark. d is a few millimetres:
+good landmarks are just far enough apart not to hide each other, and with a larger d they would be pushed further apart.
+The length of the steps follows Adam (Kingma and Ba, 2015): steps are shorter where samples disagree about the
+direction.
 """
 
 from collections.abc import Mapping
@@ -39,19 +43,20 @@ def slopes(
     first: int, field: Any, state: Any, scratch: Any, target: Any, surfaces: SurfaceArrays, difference: float,
     width: float, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the slope (partial derivatives) of the smoothed objective along u and v into `out` `(K, 2)`, for landmarks
-    from `first` on.
+    """Write the slopes of the smoothed objective, for landmarks from `first` on, into `out`.
+
+    The slopes of a landmark are the derivatives with respect to its coordinates u and v on its surface.
 
     Args:
         first: index of the first landmark that is not fixed.
-        field: incremental evaluator of the objective.
-        state: state of the field with the landmarks at their places; it is not changed.
-        scratch: working memory of the field.
-        target: functions that compute the fitness from the values, a `Target`.
+        field: incremental evaluator (`lmd.incremental.field`), which computes the value of each position.
+        state: state of the evaluator with the landmarks at their places; it is not changed.
+        scratch: working memory of the evaluator.
+        target: functions that compute the fitness from the values of all positions, a `Target`.
         surfaces: surfaces of the landmarks.
-        difference: step d of the difference quotient, metres.
-        width: width of the smooth step at the threshold, on the scale of the values, 0 to 1.
-        out: slopes, `(K, 2)`, 1/metre.
+        difference: step d of the central difference, metres.
+        width: width of the smooth step that replaces the threshold on values; values are in [0, 1].
+        out: slopes along u and v of K landmarks, `(K, 2)`, 1/metre.
     """
     units, accepted, known = scratch.units, state.units, placed(state)
     poses = known.poses
@@ -108,11 +113,11 @@ class Ascent:
         """Return the deployment after one step: each landmark of `here` that is not fixed moves along its surface.
 
         Args:
-            problem: problem whose objective has a sampling.
+            problem: problem whose objective is evaluated on random samples of poses.
             here: K landmarks, flush on their surfaces.
-            progress: completed fraction of the ascent, in [0, 1]; steps get smaller as it increases.
-            samples: number of samples to draw; a sample has one random position in each grid cell, and is evaluated by
-                a thread of its own if possible.
+            progress: completed fraction of the ascent, in [0, 1]; steps get smaller as this fraction increases.
+            samples: number of samples to draw. A sample has one random position in each grid cell. Samples are
+                evaluated in parallel threads.
             rng: random generator that draws the samples.
         """
         surfaces, seeds = (

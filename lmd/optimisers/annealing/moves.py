@@ -1,8 +1,11 @@
-"""Moves that the walk of simulated annealing (`walk`) proposes, and the conditions of its stages.
+"""Random moves of landmarks for simulated annealing, and the settings of these moves.
 
-In all functions, `here` has the poses and surfaces of all K landmarks, and `group` `(G,)` the indices of the landmarks
-that a move changes. The new poses (position and normal) of these landmarks are written to `new` `(G, 6)`, their new
-surfaces to `on` `(G,)`.
+Simulated annealing (`walk`) proposes a move of one or several landmarks, and then accepts or rejects this move. `Stage`
+has the settings of a stage of the annealing, such as temperatures and step sizes.
+
+The functions have common arguments. `here` holds the poses and surfaces of all K landmarks. `group` `(G,)` has the
+indices of the G landmarks that are to move. Results are written to `new` `(G, 6)`, the new poses of these landmarks
+(position and normal), and to `on` `(G,)`, the indices of their new surfaces.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +23,7 @@ from lmd.space.surface import SurfaceArrays
 
 
 class Settings(NamedTuple):
-    """Conditions of the walk that are constant during one phase."""
+    """Settings of simulated annealing during one phase, a number of moves for which they are constant."""
 
     temperature: float
     """Temperature: the loss in the smoothed objective that is accepted with probability 1/e."""
@@ -49,10 +52,9 @@ class Settings(NamedTuple):
 class FootprintArrays(NamedTuple):
     """Footprints of K landmarks, and the regions where landmarks may hang, in arrays.
 
-    A footprint is the square that a landmark covers on its surface. The regions are T trapezoids, for S sizes of
-    landmarks on W surfaces.
-
-    A move is not tried if footprints would overlap, or if a landmark would leave these regions.
+    A footprint is the square that a landmark covers on its surface. The regions consist of T trapezoids: some for each
+    of S sizes of landmarks on each of W surfaces. A move is not tried if footprints would overlap, or if a landmark
+    would leave its regions.
     """
 
     edges: FloatArray
@@ -129,9 +131,10 @@ def propose(
     group: IntArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays, settings: Settings,
     rng: np.random.Generator, new: FloatArray, on: IntArray,
 ) -> bool:  # fmt: skip
-    """Propose new poses for the landmarks of `group`, which keep their offsets from the first of them along u and v.
+    """Propose new poses for the landmarks in `group`: the first gets a random place, the others move along with it.
 
-    The proposed poses (position and normal) are written to `new` `(G, 6)`, the surfaces to `on` `(G,)`.
+    The others keep their offsets from the first landmark along u and v, the axes of a surface. The proposed poses
+    (position and normal) are written to `new` `(G, 6)`, the indices of surfaces to `on` `(G,)`.
 
     Returns:
         True if all landmarks may hang at their new places.
@@ -205,10 +208,10 @@ def exchange(
 def overlap(
     group: IntArray, on: IntArray, new: FloatArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays
 ) -> bool:
-    """True if the footprint of a landmark in `group` would overlap another footprint on its surface.
+    """True if the footprint of a landmark in `group` would overlap another footprint after a move.
 
-    The landmarks of `group` have their new poses `new` `(G, 6)` on the surfaces `on` `(G,)`, all others those of
-    `here`.
+    The move gives the landmarks of `group` the poses `new` `(G, 6)` on the surfaces `on` `(G,)`. All other landmarks
+    have the poses in `here`.
     """
     poses, edges = here.poses, footprints.edges
     for m in range(len(group)):
@@ -246,9 +249,9 @@ Course = Annotated[Sequence[float], partial(vector, size=2, above=0.0)]
 
 @dataclass(frozen=True)
 class Stage(Checked):
-    """Conditions of one stage of the walk.
+    """Settings (conditions) of one stage of simulated annealing.
 
-    A condition that is a pair of numbers changes during the stage from the first number to the second, with geometric
+    A setting that is a pair of numbers changes during the stage from the first number to the second, with geometric
     interpolation.
 
     Raises:
@@ -280,12 +283,11 @@ class Stage(Checked):
         real("join", self.join, low=0.0, high=1.0 - self.jump)
 
     def settings(self, progress: float, near: float) -> Settings:
-        """Conditions of the walk when a fraction `progress` of the stage is completed.
+        """Return the settings of the next phase when a fraction `progress` of the stage is completed.
 
         Args:
             progress: completed fraction of the stage, clipped to [0, 1].
-            near: for a move to a place near another landmark, standard deviation of the distance from that landmark
-                along u and along v, metres.
+            near: value of `Settings.near`, the size of moves to a place near another landmark, metres.
         """
         progress = max(0.0, min(progress, 1.0))
         now = {name: getattr(self, name) for name in CONSTANTS}
@@ -307,12 +309,13 @@ CHOSEN_STAGE = replace(GIVEN_STAGE, temperature=(5e-5, 2e-6), step=(0.3, 0.05), 
 
 
 def changed(name: str, default: Stage, given: Stage | Mapping[str, Any]) -> Stage:
-    """Return the stage `given` or, if `given` is a mapping, the stage `default` with the conditions of the mapping.
+    """Return the stage that an argument of an optimiser describes.
 
-    `name` is the name of the argument in messages.
+    The result is `given` if it is a `Stage`. If `given` is a mapping, the result is `default` with the fields of the
+    mapping replaced. `name` is the name of the argument in messages.
 
     Raises:
-        InputError: a value is out of range, or a key of the mapping is not the name of a condition.
+        InputError: a value is out of range, or a key of the mapping is not a field of `Stage`.
     """
     if isinstance(given, Stage):
         return given

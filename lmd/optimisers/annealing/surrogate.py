@@ -1,8 +1,8 @@
 """Surrogates of a problem for simulated annealing, and the conversion of their solutions to deployments of the problem.
 
 A surrogate simplifies the problem in one or both of two ways: by *stacks*, groups of n coincident landmarks that hide
-no other landmark, and by footprints smaller than their true size. For an objective with a sampling (evaluated on random
-samples of poses), each phase of the walk draws new samples.
+no other landmark, or by footprints smaller than their true size. If the objective is evaluated on random samples of
+poses, new samples are drawn for each phase (a number of moves with constant settings).
 """
 
 import math
@@ -40,7 +40,7 @@ NOWHERE = Places(np.empty((6, 0)), np.empty(0, dtype=np.int64))
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of one phase of the walk: those that define the surrogate, and the settings of the moves."""
+    """Settings of one phase of simulated annealing: how the problem is simplified, and the settings of the moves."""
 
     in_stacks: bool
     """True if each moved landmark is a stack."""
@@ -53,15 +53,17 @@ class Conditions:
 
 
 class Surrogate:
-    """Surrogate of a problem in the form of arrays, and the walks on this surrogate.
+    """Simplified form (surrogate) of a problem, and the walks of simulated annealing on this surrogate.
 
     Walks run in parallel. Each walk moves its own landmarks while all other landmarks keep their places; then the moves
-    of all walks are combined. The room is divided between walks by slices across a random direction, because distant
-    landmarks are rarely seen together. The number of walks, and so the result, does not depend on the machine.
+    of all walks are combined. A walk has the landmarks in one slice of the room, because distant landmarks are rarely
+    seen together; slices are perpendicular to a random direction. The number of walks, and so the result, does not
+    depend on the machine.
 
     Args:
         problem: the problem without simplification.
-        walkers: largest number of walks. There are fewer walks if a walk would have too few landmarks for a joint move.
+        walkers: largest number of walks. There are fewer walks if a walk would have fewer landmarks than one move can
+            change.
     """
 
     def __init__(self, problem: Problem, walkers: int) -> None:
@@ -75,10 +77,9 @@ class Surrogate:
         self._walkers: list[Walker]
 
     def _lay_out(self, evaluator: Evaluator, relevance: FloatArray) -> None:
-        """Set the field (incremental evaluator) and the target (functions that compute the fitness) of the walk.
+        """Set the incremental evaluator (field) of the walk, and the functions that compute the fitness (target).
 
-        Both are made from the positions and orientations of `evaluator` and from the `relevance` `(P,)` of its
-        positions.
+        The fitness is computed at the P positions of `evaluator`, which have the weights `relevance` `(P,)`.
         """
         objective = self._problem.objective
         self._true = field_of(objective, evaluator)
@@ -90,11 +91,13 @@ class Surrogate:
         return stack_of(self._true)
 
     def is_true(self, count: int, conditions: Conditions) -> bool:
-        """True if there is a single walk, on the problem itself; then the fitness that the walk records is exact.
+        """True if the fitness that a walk records is the exact fitness of a deployment.
+
+        This holds if the problem is not simplified, is not evaluated on random samples, and there is a single walk.
 
         Args:
             count: number of landmarks or stacks.
-            conditions: conditions of the walk.
+            conditions: settings of the walk.
         """
         exact = self._problem.objective.sampling is None and not conditions.in_stacks and conditions.size == 1.0
         return exact and self._shared_out(count, conditions.in_stacks)[1] == 1
@@ -107,13 +110,13 @@ class Surrogate:
         Args:
             here: deployment at the beginning: the stacks, or all landmarks.
             best: best deployment found until now.
-            conditions: conditions of the walk.
-            moves: number of landmarks, or stacks, to move.
+            conditions: settings of the walks.
+            moves: number of moved landmarks, or stacks, after which the walks end.
             rng: random generator for all random numbers.
 
         Returns:
-            resulting deployment; best deployment met on the way, None if it is not better than `best` or its fitness is
-            not exact (`is_true`).
+            the last deployment, and the best deployment of the walks; None instead of the latter if it is not better
+            than `best`, or if its fitness is not exact (`is_true`).
         """
         places = self._prepare(here, best, conditions, rng)
         before, number = self._walkers[0].best.fitness[0], len(self._walkers)
@@ -130,12 +133,11 @@ class Surrogate:
         return self._together(), first.places.deployment() if found else None
 
     def _prepare(self, here: Deployment, best: Deployment, conditions: Conditions, rng: np.random.Generator) -> Places:
-        """Prepare the walks. Return the places of the landmarks from which the walks begin; `NOWHERE` if the walks are
-        already at these places.
+        """Prepare the walks, and return the places of the landmarks to which the walks must first move.
 
-        If the objective has a random sample of positions, the sample is redrawn. The size of the sample grows with the
-        square of the completed fraction of the stage. For early moves a rough estimate of the fitness suffices, but the
-        gains of late moves are smaller than the error of a small sample.
+        The places are empty (`NOWHERE`) if the walks have these places already. If the objective is evaluated on random
+        samples, a new sample is drawn. Its size grows with the square of the completed fraction of the stage, because
+        the gains of late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size
         redrawn = self._problem.resampled(LARGEST * conditions.done**2, rng)
@@ -179,13 +181,13 @@ class Surrogate:
         return together, max(1, min(self._most_walkers, movable // together))
 
     def _walker(self, best: Deployment | None, together: int, members: IntArray, state: Any) -> Walker:
-        """Make a walk that begins with the deployment of a field's `state` and moves the landmarks `members`.
+        """Make a walk that begins with the deployment in `state` and moves the landmarks `members`.
 
         Args:
-            best: best deployment found until now; None for the deployment of `state`.
+            best: best deployment found until now; if None, the walk records the deployment in `state` as the best.
             together: largest number of landmarks that move together with unchanged offsets.
             members: indices of the landmarks that the walk moves, `(M,)`.
-            state: state of the field.
+            state: state of the incremental evaluator (field), which contains a deployment.
         """
         exchanged = 2 if len(self._footprints.first) > 1 else 1
         scratches = layers(self._field.scratch(state), max(together, exchanged))
@@ -256,14 +258,15 @@ def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack
 
 
 class MeanPlaces:
-    """Weighted mean of the places that each landmark has had since its last jump or change of surface.
+    """Running mean of the places of each of K landmarks in simulated annealing on random samples of poses.
 
-    On random samples a walk does not converge, because each step fits its sample only. The mean of a landmark's places
-    is closer to the optimum over all samples than any single place. Later places have a larger weight, because the walk
-    still improves: averaging with polynomial decay (Shamir and Zhang, 2013).
+    Landmarks never come to rest, because each random sample has another optimum. The mean of a landmark's places is
+    closer to the optimum over all samples than any single place. Later places have a larger weight, because the walk
+    still improves: averaging with polynomial decay (Shamir and Zhang, 2013). The mean of a landmark starts anew when
+    the landmark changes its surface, or moves farther than `RESTART_M` from its mean.
 
     Args:
-        start: K landmarks.
+        start: initial places of the K landmarks.
     """
 
     def __init__(self, start: Deployment) -> None:

@@ -1,20 +1,19 @@
 """Metropolis walk of simulated annealing: one landmark or a few landmarks move at a time, on a smoothed objective.
 
 An objective that counts positions above a threshold is piecewise constant, so it gives no credit for a position that is
-nearly qualified. The walk maximises a smooth surrogate (`smoothed`); for coverage it is the relevance-weighted mean
-over positions of
+nearly qualified. The walk therefore maximises a smoothed objective (`smoothed`). For coverage this is the mean over
+positions, weighted by their relevance, of
 
     1 / (1 + exp(-(P_n - thold_p - margin) / width)) + share * P_n.
 
-P_n is the value of a position: the probability that at least n landmarks are seen from it; thold_p is the threshold.
-The walk records the best deployment by the true objective (`contribution`), to which the surrogate converges as `width`
-shrinks.
+P_n is the value of a position: the probability that at least n landmarks are seen from it. thold_p is the threshold.
+margin, width and share are settings of the walk (`Settings`). The walk records the best deployment by the true
+objective.
 
-Most moves are rejected before their exact gain is computed. The objective is monotone in every value, so upper bounds
-on the values (`bound`) give an upper bound on the gain. If the bound is negative, so is the gain, and the random number
-for Metropolis' rule is drawn. If the rule rejects the bound, it would also reject the gain, and the move is rejected.
-Otherwise the gain is computed, and the rule is applied to it with the number already drawn. So decisions and random
-numbers do not depend on the bound.
+Metropolis' rule accepts a move if its gain is positive, or else with a probability that falls with the loss. Most moves
+are rejected before their exact gain is computed. First an upper bound on the gain is computed from upper bounds on the
+values of positions (`bound`). If the rule would reject even this bound, the move is rejected. Otherwise the gain is
+computed, and the rule is applied to it with the same random number, so the bound changes no decision.
 """
 
 import math
@@ -69,7 +68,7 @@ class Walker(NamedTuple):
 
 
 class Known(NamedTuple):
-    """Values of the smoothed objective for the walk's present deployment, at Q positions."""
+    """Smoothed fitness of the walk's present deployment, and the contributions of Q positions to this fitness."""
 
     total: float
     """Smoothed fitness, the combination of `terms`, see `combined`."""
@@ -83,9 +82,9 @@ class Known(NamedTuple):
 
 @inner
 def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) -> float:
-    """Return the smoothed fitness of a tried move, after which the quantised values are `units` `(Q,)`.
+    """Return the smoothed fitness after a tried move; the contribution of each position is put into `known.tried`.
 
-    The contribution of each position is written into `known.tried`.
+    `units` `(Q,)` are the values of Q positions after the move, as integers (multiples of a small unit).
     """
     accepted, terms, tried = known.units, known.terms, known.tried
     total = 0.0
@@ -102,7 +101,7 @@ def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) 
 def _keep_best(units: IntArray, here: Places, target: Any, best: Best) -> None:
     """Overwrite `best` with the deployment `here` if the fitness of `here` is higher.
 
-    `units` `(Q,)` are the quantised values of the positions for `here`.
+    `units` `(Q,)` are the values of Q positions for `here`, as integers (multiples of a small unit).
     """
     fitness, places = total_fitness(target, units), best.places
     if fitness > best.fitness[0]:
@@ -166,12 +165,11 @@ def walk(
     Args:
         moves: length of the walk, counted in landmarks: a proposal for g landmarks counts g, also if it is rejected.
         places: poses and surfaces at the beginning of the walk; if empty, the walk begins with the `state` of `walker`.
-        walker: memory of the walk. The `scratches` of this memory have one layer for each landmark that a single move
-            can change: n layers, but at least two if landmarks exchange places.
-        field: incremental evaluator of the values at positions, a `Field`.
+        walker: memory of the walk. Its `scratches` have one layer for each landmark that a single move can change.
+        field: incremental evaluator, which updates the value of each position after a move, a `Field`.
         target: functions that compute the fitness from the values, a `Target`.
         room: surfaces of the room, and footprints of all landmarks.
-        settings: conditions of the walk.
+        settings: settings of the moves and of the smoothed objective.
         rng: random generator for proposals and decisions.
     """
     (members, several, state, scratches, best), (surfaces, footprints) = walker, room

@@ -116,7 +116,7 @@ class Fiducial(Checked):
         return of_sizes(sights) if camera.lens is None else of_sizes_behind_lens(sights)
 
     def _sight_of(self, tag: Tag, camera: Camera) -> FiducialSight | LensSight:
-        """Compiled model of sight of a camera for tags of one size."""
+        """Compiled model of sight of a camera for a single size of tag, that of `tag`."""
         limits = self.limits
         assert isinstance(limits, Limits)
         margin, (centre_u, centre_v), (focal_u, focal_v) = limits.margin, camera.principal_point, camera.focal_pixels
@@ -204,8 +204,9 @@ class Fiducial(Checked):
 
 @lru_cache
 def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
-    """Compiled model of sight for a lens with distortion, made from `flat`, the model without distortion. `widest` is
-    the greatest angle from the optical axis, rad.
+    """Compiled model of sight for a lens with distortion.
+
+    `flat` is the model without distortion, `widest` the greatest angle from the optical axis, rad.
     """
     bounds = lens.stretch(widest)
     # An arc between two directions in view leaves the cone of the widest angle only if that angle exceeds 90 degrees.
@@ -232,8 +233,9 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
 
 
 def _pinholes(lens: Lens, widest: float, flat: FiducialSight) -> tuple[FiducialSight, FiducialSight]:
-    """Two pinhole models that bound the pitch and the area of a tag seen through the lens. At each depth, the first
-    model gives lower bounds, and the second model gives upper bounds.
+    """Two cameras without distortion that bound the pitch and the area of a tag seen through the lens.
+
+    At each depth, the first one gives lower bounds, the second one upper bounds.
     """
     rates = lens.stretch(widest, power=1)
     shorter = rates.least if min(rates.least, rates.least_area) > 0.0 else 0.0

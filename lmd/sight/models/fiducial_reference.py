@@ -1,4 +1,6 @@
-"""NumPy reference of each criterion of `lmd.sight.models.fiducial`; compiled code repeats the operations in order.
+"""NumPy reference of each criterion of `lmd.sight.models.fiducial`.
+
+Compiled code repeats its operations in their order, so the results are equal bit for bit.
 
 Shapes: A orientations, K tags. Lengths are in metres, vectors in the world frame unless said otherwise.
 """
@@ -99,8 +101,10 @@ def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArra
 
 
 def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray, per: FloatArray) -> BoolArray:
-    """Mask of the tags whose pitch and image area suffice. `square` is |J|_F^2 and `determinant` is |det J|, with the
-    Jacobian J of `lmd.sight.models.fiducial`; `per` is the reciprocal of the depth, 1 / metre.
+    """Mask of the tags whose pitch and image area suffice.
+
+    `square` is |J|_F^2 and `determinant` is |det J|, with the Jacobian J of `lmd.sight.models.fiducial`. `per` is the
+    reciprocal of the depth, 1 / metre.
     """
     blur = sight.defocus - sight.focus * per
     least = sight.sharp + sight.blurred * (blur * blur)
@@ -111,8 +115,8 @@ def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray,
 def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
     """Mask `(K,)` of the tags whose centre or one of whose corners is behind the footprint of another tag.
 
-    A footprint does not hide points at most `TOLERANCE` metres behind its plane, such as tags on the footprint's wall.
-    `offset` `(K, 3)` are the offsets of the tags from the camera, metres, and `normals` `(K, 3)` their unit normals.
+    A footprint does not hide points at most `TOLERANCE` metres behind its plane, such as tags on its own wall. `offset`
+    `(K, 3)` are the offsets of the tags from the camera, metres, and `normals` `(K, 3)` their unit normals.
     """
     right, up = upright(normals)
     half = np.reshape(sight.half, (-1, 1))  # one number, or a column

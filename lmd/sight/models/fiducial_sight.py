@@ -1,4 +1,4 @@
-"""Criteria of `fiducial` for one camera, compiled, and occlusion of one tag by the footprint of another.
+"""Criteria of `lmd.sight.models.fiducial`, compiled for one camera, and occlusion of one tag by another.
 
 The functions repeat the operations of the reference in their order, so the results are equal bit for bit.
 """
@@ -36,7 +36,7 @@ from lmd.sight.obstacles import half_edge
 def footprint_hides(sight: Any, half: float, a: Vector, n: Vector, b: Vector, m: Vector) -> Any:
     """True if the footprint of tag A with normal n hides the centre or a corner of tag B with normal m.
 
-    `half` is half the edge length of B; a and b are the offsets of the tags from the camera, metres.
+    `half` is half the edge length of B; `a` and `b` are the offsets of A and B from the camera, metres.
     """
     height, (t, u), (r, s) = -dot3(n, a), upright_axes(n, sight.level), upright_axes(m, sight.level)
     r, s = times3(half, r), times3(half, s)
@@ -102,11 +102,10 @@ Column = float | FloatArray
 
 
 class FiducialSight(NamedTuple):
-    """Model of sight of a tag detector for one camera: the thresholds of its criteria, with tolerances; a
-    `lmd.scene.criteria.SightModel`.
+    """Compiled thresholds of a tag detector's criteria for one camera; a `lmd.scene.criteria.SightModel`.
 
-    A field that depends on the size of a tag is a number if all tags have one size, else a column `(K,)`, from which
-    `sized` selects. Other fields hold for all tags and are computed for the largest tag.
+    The thresholds include tolerances for rounding. If the tags have several sizes, a field that depends on the size is
+    a column `(K,)`, from which `sized` selects; other fields are computed for the largest tag.
     """
 
     outer_cosine: float
@@ -154,7 +153,7 @@ class FiducialSight(NamedTuple):
 
     @property
     def horizon(self) -> float:
-        """See `SightModel.horizon`; the greatest distance at which a tag in the corner of the image is resolved."""
+        """See `SightModel.horizon`: greatest distance at which a tag is seen or hides a tag that is seen, metres."""
         least = self.outer_cosine**3 * max(np.min(self.area), np.min(self.sharp))
         seen = math.sqrt(self.focal_u * self.focal_v / least) if least else math.inf
         return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + NORMAL_TOLERANCE)
@@ -178,7 +177,7 @@ class FiducialSight(NamedTuple):
 
 
 def of_sizes(sights: Sequence[FiducialSight]) -> FiducialSight:
-    """Join the compiled models of K single tags into one model."""
+    """Join the compiled models of K tags, one for each tag's size, into one model."""
     largest = max(sights, key=lambda sight: sight.half)
     columns: dict[str, Any] = {name: np.array([getattr(sight, name) for sight in sights]) for name in SIZED}
     return largest._replace(**columns)
@@ -232,7 +231,7 @@ def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> 
 
 @from_around.register(FiducialSight)
 def _from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> Any:
-    """See `criteria.from_around`. The bounds are loose, because only the limit on the incidence angle is used."""
+    """See `criteria.from_around`. Only the limit on the incidence angle is used, so the bounds are loose."""
     distance, along = math.sqrt(dot3(offset, offset)), radius - dot3(normal, offset)
     nearest, farthest = max(distance - radius, 0.0), distance + radius
     reached = (along >= min(sight.facing * nearest, sight.facing * farthest)) & (along >= 0.0)
@@ -270,8 +269,8 @@ def _inside(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
 def _clear(sight: Any, tag: tuple[Vector, Vector, Vector], along: float) -> Any:
     """True if the pitch (least image length of a module) and the image area of a tag suffice.
 
-    `tag` has the centre, metres, and the unit vectors right and up of the tag, in the camera frame. `along` is n . d,
-    with the tag's unit normal n and its offset d from the camera.
+    `tag` has the centre, metres, and the unit vectors right and up of the tag, in the camera frame. `along` is the
+    inner product of the tag's unit normal and its offset from the camera.
     """
     (u, v, w), (tu, tv, tw), (uu, uv, uw) = tag
     per = 1.0 / w

@@ -24,20 +24,20 @@ def _polynomial(coefficients: Any, h: float) -> Any:
 
 @inlined
 def stretch_at(sight: Any, height: float) -> Any:
-    """Upper bound on the local scale of the lens, in focal lengths per radian.
+    """Upper bound on the local scale of the lens near the optical axis, in focal lengths per radian.
 
     The local scale is the distance by which an image point moves, divided by the angle by which its direction turns.
-    The bound holds for all directions whose angle theta from the optical axis satisfies 1 - cos(theta) <= `height`.
+    The bound holds up to the angle theta from the axis with 1 - cos(theta) = `height`.
     """
     return _polynomial(sight.stretch, min(height, sight.stretch_end))
 
 
 @inlined
 def room_within(sight: Any, point: Vector, per: float) -> Any:
-    """Approximate distance of the image of a point from the nearest border, in focal lengths; negative outside the
-    image.
+    """Approximate distance of the image of a point from the nearest border of the image, in focal lengths.
 
-    The error is at most `image_error`. `point` is in the camera frame, and 1 / `per` is its distance from the camera.
+    The distance is negative outside the image, and its error is at most `image_error`. `point` is in the camera frame,
+    and 1 / `per` is its distance from the camera.
     """
     flat, scale = sight.flat, per * _polynomial(sight.approximation, 1.0 - point[2] * per)
     across, down = scale * point[0], scale * point[1]

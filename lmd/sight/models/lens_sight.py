@@ -55,8 +55,9 @@ DIAGONAL = 1.4143  # diagonal of a square over its edge, rounded up
 
 
 class LensSight(NamedTuple):
-    """Model of sight of a tag detector for one camera whose lens has distortion: thresholds with tolerances; a
-    `lmd.scene.criteria.SightModel`.
+    """Compiled thresholds of a tag detector's criteria for one camera with lens distortion.
+
+    It is a `lmd.scene.criteria.SightModel`. The thresholds include tolerances for rounding.
     """
 
     flat: FiducialSight
@@ -128,7 +129,7 @@ class LensSight(NamedTuple):
 
 
 def of_sizes_behind_lens(sights: Sequence[LensSight]) -> LensSight:
-    """Join the compiled models of K single tags behind a lens into one model."""
+    """Join the compiled models of K tags, one for each tag's size, seen through a lens into one model."""
     largest = max(sights, key=lambda sight: sight.flat.half)
     pinholes: Any = tuple(of_sizes(each) for each in zip(*(sight.pinholes for sight in sights), strict=True))
     return largest._replace(flat=of_sizes([sight.flat for sight in sights]), pinholes=pinholes)
@@ -194,9 +195,10 @@ def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> 
 
 @overridable
 def _by_depth(lens: Any, pinholes: Any, offset: Vector, normal: Vector, slack: float) -> Any:
-    """Bounds on the coverage of a tag, computed with the two pinhole models `pinholes`. They are the results `reached`,
-    `high` and `sure` of `criteria.from_position`: False only if no orientation covers the tag, the greatest depth of a
-    covered tag, and the depth up to which coverage is certain, metres.
+    """Three bounds on the coverage of a tag: the results `reached`, `high` and `sure` of `criteria.from_position`.
+
+    They are computed with the two pinhole models `pinholes`, which bound the pitch and the area of a tag seen through
+    the lens.
     """
     _, _, _, sure = from_position(pinholes[0], offset, normal, slack)
     reached, _, high, _ = from_position(pinholes[1], offset, normal, slack)

@@ -23,7 +23,7 @@ SUFFIXES = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class Limits(Checked):
-    """Limits within which a detector finds a tag, in the terms of `lmd.detection.corner_errors`.
+    """Limits within which a detector finds a tag.
 
     Args:
         pitch: least pitch (image length of a module) in an image without blur, pixels per module. Called a in presets.
@@ -45,10 +45,9 @@ class Limits(Checked):
     margin: NotNegative
 
     def found(self, pitch: FloatArray, incidence: FloatArray, edge: FloatArray, sigma: FloatArray) -> BoolArray:
-        """Mask of the views in which the detector finds the tag, for tags wholly in the image; all arrays have one
-        shape.
+        """Mask of the views in which the detector finds the tag, for tags wholly in the image.
 
-        NaN stands for a view with the tag behind the camera, in which the detector does not find the tag.
+        All arrays have one shape. NaN marks a view with the tag behind the camera; there, the result is False.
 
         Args:
             pitch: pitch, pixels per module.

@@ -28,8 +28,9 @@ from lmd.scene.criteria import TOLERANCE, from_around, from_position, hide, in_c
 
 
 class PaperSight(NamedTuple):
-    """The paper's model of sight for one camera: bounds on the depth, with tolerances; a
-    `lmd.scene.criteria.SightModel`.
+    """The paper's criteria compiled for one camera: bounds on the depth; a `lmd.scene.criteria.SightModel`.
+
+    The bounds include tolerances for rounding.
     """
 
     min_cosine: float
@@ -71,9 +72,7 @@ class PaperSight(NamedTuple):
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "PaperSight":
-        """See `SightModel.among`. The result is the model itself: the paper's model has no test that finds that no
-        landmark can hide another.
-        """
+        """See `SightModel.among`. The result is always the model itself."""
         return self
 
     def shrunk(self, size: float) -> "PaperSight":

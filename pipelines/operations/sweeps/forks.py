@@ -35,9 +35,9 @@ class Descriptor:
 def process(
     pipeline: str, arguments: list[str], environment: dict[str, str], streams: Mapping[int, int], kept: Iterable[int]
 ) -> ForkServerProcess:
-    """Make the process of a job, in a session of its own.
+    """Return the process of a job, not yet started, which will run in a session of its own.
 
-    The first such process waits until the fork server has imported `ready`.
+    The first process to start waits until the fork server has imported the module `ready`.
 
     Args:
         pipeline: module whose `main` is called.

@@ -130,10 +130,10 @@ def job_folder(*, _root_: DictConfig) -> str:
 
 
 def pin_sweep_folder(config: DictConfig) -> Path:
-    """Compute the path of the sweep's folder, write it into the configuration of the jobs, and return it.
+    """Return the path of the sweep's folder, and write this path into the configuration of the jobs.
 
-    The jobs cannot compute the path themselves. Values such as +5 are quoted in the overrides, because Hydra would read
-    them as numbers.
+    The jobs cannot compute the path themselves. Values with a plus sign are also quoted in the jobs' overrides, see
+    `spelled`.
     """
     folder = Path(config.hydra.sweep.dir)
     with read_write(config.hydra):

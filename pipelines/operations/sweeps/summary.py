@@ -124,7 +124,7 @@ def by_group(sweep: Sweep, found: list[Outcome]) -> str:
 
 
 def grouping_keys(sweep: Sweep) -> list[str]:
-    """Varied keys except the seed, by which jobs are grouped.
+    """Keys by which jobs are grouped: all varied keys except the seed.
 
     The keys that choose the method, such as the optimiser, come first, then the keys of the problem.
     """

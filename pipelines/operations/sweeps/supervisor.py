@@ -30,10 +30,11 @@ LOST = "its process was killed, and the sweep with it"
 
 
 def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> float | None:
-    """Run a pipeline; return its value, which is NaN if it is a job of a sweep that has failed.
+    """Run a pipeline, and return the pipeline's result, the number that Hydra's sweeper gets.
 
-    A job of a sweep that `SweepRecord` began runs in a new process. All other pipelines run in this process. The
-    process of a job writes the outcome to the job's folder, and stops when the sweep has ended.
+    A job of a sweep that `SweepRecord` began runs in a new process. If such a job fails, the result is NaN. All other
+    pipelines run in this process. The process of a job writes the outcome to the job's folder, and stops when the sweep
+    has ended.
     """
     if HydraConfig.get().mode == RunMode.MULTIRUN and SWEEP_VARIABLE in os.environ:
         return _supervise(cfg)
@@ -71,7 +72,7 @@ def _supervise(cfg: DictConfig) -> float | None:
     Hydra.
 
     Returns:
-        value of the job; NaN after a failure.
+        number that the job returned to Hydra's sweeper; NaN after a failure.
     """
     folder, job, launcher = JobFolder(run_directory()), _job(), HydraConfig.get().launcher
     # Number of threads: as configured, else 1 if jobs share a machine; None stands for every processor.

@@ -98,9 +98,9 @@ class Journal:
 
 
 def hand_in(journal: Journal, uri: str) -> str:
-    """Send the journal that an ended run has left to the store `uri`, and remove the journal's file.
+    """Send the journal of an ended run to the store `uri`, and remove the journal's file.
 
-    Entries that are in the store already are not duplicated. The journal of a run that still goes on is left.
+    Entries that are in the store already are not duplicated. If the run has not ended, nothing is sent or removed.
 
     Returns:
         text of one line about the outcome.

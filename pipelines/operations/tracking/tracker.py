@@ -46,8 +46,8 @@ class NoTracker:
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
         """True if the record of the run `run_id` can be continued.
 
-        The run must have the parameters `params`, be unfinished, have been last in `folder`, and not have been
-        continued by another run.
+        The run must have the parameters `params`, be unfinished, have been recorded last in the folder `folder`, and
+        not have been continued by another run.
 
         Raises:
             InputError: the store cannot be used.
@@ -58,11 +58,12 @@ class NoTracker:
         """Delete the record of the run that was started."""
 
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
-        """Correct the records of all runs that have the `tags` of `run`; their processes have ended.
+        """End the recorded attempts of one job, after the job's process has ended, and keep only the newest attempt.
 
-        A record gets the `status` and the `reason` in two cases: its status is RUNNING, or it was marked as failed
-        because its process was gone. Then all these records except the newest are deleted, and the newest gets the
-        `files`. If no run has these tags, `run` itself is recorded unless the status is FINISHED.
+        The attempts are the runs that have the `tags` of `run`. An attempt whose status is still RUNNING, or that was
+        marked as failed because its process was gone, gets the `status` and the `reason`. Then all attempts except the
+        newest are deleted, and the newest gets the `files`. If there is no attempt, `run` itself is recorded unless the
+        status is FINISHED.
 
         Raises:
             InputError: the store cannot be used.
@@ -88,7 +89,7 @@ class NoTracker:
         return "not tracked (tracking=none)"
 
     def views(self, params: Sequence[str]) -> list[str]:
-        """Links to pages that show the child runs of this run, grouped by the parameters `params`.
+        """Links to pages that show the child runs of the started run, grouped by the parameters `params`.
 
         The list is empty if the store does not answer.
         """

@@ -1,6 +1,7 @@
-"""Pages of mlflow that show the metrics of runs: views of an experiment and of a sweep.
+"""Views: settings of mlflow's page of runs, such as columns and charts, for an experiment or for a sweep.
 
-`views.json` holds the settings of mlflow's page of runs, in the form in which mlflow's links contain them.
+A view is a text. It is stored under a name in the experiment, and links to the page contain this name. `views.json` has
+settings from which views are built.
 """
 
 import base64
@@ -27,9 +28,9 @@ FIGURES = ("off_grid", "qualified_ratio", "localised_share", "evaluations", "wal
 
 
 def view_of(figures: Sequence[str] = ()) -> str:
-    """View of an experiment with a column for each of the metrics `figures`.
+    """Settings of mlflow's page of runs that give a column to each of the metrics `figures`, as a text.
 
-    The columns are the metrics of deployments and of sweeps if `figures` is empty or contains one of these.
+    If `figures` is empty or has a metric of deployments, the columns are the metrics of deployments and sweeps instead.
     """
     if not figures or {*figures} & {*FIGURES}:
         figures = (FIGURES[0], "best/off_grid", "median/off_grid", *FIGURES[1:])
@@ -37,11 +38,13 @@ def view_of(figures: Sequence[str] = ()) -> str:
 
 
 def sweep_view(run_id: str, params: Sequence[str]) -> str:
-    """View of the jobs of the sweep with the run `run_id`; its charts show a band for each group of jobs.
+    """Settings of mlflow's page of runs that show the jobs of one sweep, as a text.
+
+    The charts show a band for each group of jobs. The sweep's own run is hidden, as its charts would come first.
 
     Args:
-        run_id: id of the sweep's own run, which is hidden, because its charts would come first.
-        params: parameters that group jobs.
+        run_id: id of the sweep's own run, the parent of the jobs.
+        params: parameters of the jobs; jobs with equal parameters form a group.
     """
     keys = [{"mode": "param", "groupByData": param} for param in params]
     own = {
@@ -53,17 +56,17 @@ def sweep_view(run_id: str, params: Sequence[str]) -> str:
 
 
 def share(client: "MlflowClient", experiment_id: str, view: str, name: str = VIEW) -> None:
-    """Add the view `view` to an experiment under the name `name`, by which links refer to it."""
+    """Store the settings `view` of mlflow's page of runs in an experiment, under the name that links use."""
     client.set_experiment_tag(experiment_id, f"{SHARED}{name}", view)
 
 
 def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE") -> str:
-    """Address of mlflow's page of training runs that shows an experiment in a shared view.
+    """Address of mlflow's page of runs that shows an experiment with stored settings.
 
     Args:
         address: address of the server.
         experiment_id: id of the experiment.
-        view: name of the shared view.
+        view: name under which the settings of the page are stored, see `share`.
         mode: `TABLE` or `CHART`.
     """
     query = f"workflowType=machine_learning&compareRunsMode={mode}&viewStateShareKey={view}"
@@ -78,8 +81,8 @@ def _state(params: Sequence[str], figures: Sequence[str], *parts: str, **changes
     Args:
         params: parameters that get a column.
         figures: metrics that get a column.
-        parts: names of the settings in `views.json` that are included.
-        changes: further settings, which replace those of `parts`.
+        parts: names of the blocks of settings in `views.json` that are included.
+        changes: further settings, which replace settings of these blocks.
     """
     states = json.loads(Path(__file__).with_suffix(".json").read_text())
     columns = [*(f"params.`{param}`" for param in params), *(f"metrics.`{figure}`" for figure in figures)]
