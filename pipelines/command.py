@@ -1,6 +1,6 @@
 """Commands of the project.
 
-A command is a function that Hydra calls with a composed configuration. It stops on a signal, and can run as a sweep.
+A command is a function that Hydra calls with a composed configuration; it stops on a signal, and can run as a sweep.
 """
 
 import atexit

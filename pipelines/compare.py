@@ -140,7 +140,7 @@ def _configurations(taken: Mapping[str, Mapping[str, DictConfig]]) -> str:
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
     """Problems of the suite that the key `suite` chooses, by name.
 
-    The value of the key is the name of a set of problems, the name of a problem, or a list of names of problems. Of a
+    The value of the key is the name of a set of problems, the name of a problem, or a list of names of problems. In a
     set, only the problems with a single objective are used.
 
     Raises:

@@ -55,11 +55,11 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
 
     Args:
         node: group `deployment`.
-        fixed: fixed landmarks; None if there are none.
+        fixed: fixed landmarks; None without such landmarks.
 
     Returns:
         total number of landmarks, fixed ones included; None if no landmark is fixed or no count is given.
-        config node of the source. Its key `count` is the number of landmarks that the source places, or None if the
+        config node of the source. The key `count` is the number of landmarks that the source places, or None if the
             source is a file, which may also contain the fixed landmarks.
 
     Raises:

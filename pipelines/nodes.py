@@ -80,7 +80,7 @@ def instantiate(node: Any, **extra: Any) -> Any:
 def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
     """Message that replaces Hydra's error about a node.
 
-    It states the fault, and lists the allowed arguments or the existing names.
+    The message states the fault, and lists the allowed arguments or the existing names.
 
     Args:
         error: Hydra's error.

@@ -116,7 +116,7 @@ class Ladder:
         Args:
             count: number of landmarks.
             what: kind of the result.
-            given: deployment from which the result is computed; None if there is none.
+            given: deployment from which the result is computed; None without a deployment.
             compute: function that computes the result as a document.
             read: function that converts the document to the result.
         """

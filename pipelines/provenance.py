@@ -67,7 +67,7 @@ def _version() -> dict[str, str]:
 
 
 def repeating(tags: Mapping[str, str]) -> str:
-    """Text in Markdown that says how to repeat a run: its command and its commit, both from the run's `source_tags`."""
+    """Text in Markdown about how to repeat a run: its command and its commit, both from the run's `source_tags`."""
     from lmd.core.words import as_code
 
     commit = tags.get("mlflow.source.git.commit", "")[:9]

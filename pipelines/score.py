@@ -34,7 +34,7 @@ COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probabil
 def room_report(cfg: DictConfig, problem: "Problem") -> Report:
     """Report with a picture of the room as read from its file, and of the people who may hide landmarks.
 
-    The report is made before anything is computed. It is empty if `picture` is switched off.
+    The report is made before anything is computed, and is empty if `picture` is switched off.
     """
     if not cfg.picture:
         return Report()

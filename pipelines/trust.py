@@ -164,7 +164,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 
 def _place(found: Any, key: str, name: str) -> Any:
-    """Value in the configuration `found` to which `${name}` refers at the key `key`; None if there is none."""
+    """Value in the configuration `found` to which `${name}` refers at the key `key`; None without such a value."""
     up = len(name) - len(name.lstrip("."))
     for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", name)]:
         entries = dict(enumerate(found)) if isinstance(found, list) else found if isinstance(found, Mapping) else {}

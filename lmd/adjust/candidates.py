@@ -1,7 +1,7 @@
 """Candidate poses of frames and tags from single sightings, and measured poses of cameras on the body.
 
-A sighting is one tag in one image. It proposes poses of the frame if the tag has a pose, or of the tag if the frame has
-one. Two poses of a tag in front of a camera have similar images (IPPE), so each sighting proposes two poses.
+A sighting is one tag in one image. A sighting proposes poses of the frame if the tag has a pose, or of the tag if the
+frame has one. Two poses of a tag in front of a camera have similar images (IPPE), so each sighting proposes two poses.
 
 Source: Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation".
 """

@@ -1,7 +1,7 @@
 """Motion of a body, estimated from a drive: noise of the motion model, and smoothest sequence of poses.
 
-A motion model predicts the relative pose of linked frames. Its noise is described by the *spread* s, a factor on the
-standard deviations of the model. The spread is estimated by maximum evidence. With theta = log s^2,
+A motion model predicts the relative pose of linked frames. The noise of the model is described by the *spread* s, a
+factor on the model's standard deviations. The spread is estimated by maximum evidence. With theta = log s^2,
 
     d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0.
 
@@ -215,8 +215,8 @@ class Nodes:
 
 
 def smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Copy of `poses` with poses of nodes in place of the poses of frames. A node is a pair of a frame and a part (a
-    group of tags); its pose is in the world frame of the part.
+    """Copy of `poses` with poses of nodes instead of poses of frames. A node is a pair of a frame and a part (a group
+    of tags); its pose is in the world frame of the part.
 
     A node keeps its rough pose if several of its sightings agree with that pose. Otherwise the sighting that is largest
     in the image proposes two poses. Of these, the pose that makes the sequence of nodes smoothest is taken.

@@ -4,7 +4,7 @@
 errors in a drive are correlated, as exposure, blur and errors of the lens model change slowly. So the frames are
 divided into blocks of time with equal numbers of sightings. Block b adds S_b to the normal matrix S = C^-1, and g_b to
 the right side; at the solution the sum of all g_b is 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error
-of the map. The covariance of the map is the sum of x_b x_b' over all blocks. It equals C if errors are uncorrelated.
+of the map. The covariance of the map is the sum of x_b x_b' over all blocks, and equals C if errors are uncorrelated.
 
 With the inverse in place of the inverse root, this would be the jackknife, which leaves out one block at a time. The
 jackknife overestimates the effect of a block that alone determines a part of the map.
@@ -132,7 +132,7 @@ class Estimate:
 
     @property
     def adjustment(self) -> Adjustment:
-        """Bundle adjustment of the inliers. Its unknowns include intrinsics, shifts of corners and shapes of tags."""
+        """Bundle adjustment of the inliers. The unknowns include intrinsics, shifts of corners and shapes of tags."""
         return Adjustment(self.sightings.of(self.used), self.prior, True, self.inflation)
 
     @cached_property
@@ -150,8 +150,8 @@ class Estimate:
         return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
 
     def _blocks(self, first: int, last: int, size: int = 6) -> FloatArray:
-        """Square blocks on the diagonal of `covariance`, `(n, size, size)`. They cover the blocks of six unknowns from
-        the index `first` to the index `last` (excluded).
+        """Square blocks on the diagonal of `covariance`, `(n, size, size)`. The result covers the blocks of six
+        unknowns from the index `first` to the index `last` (excluded).
         """
         return diagonal_blocks(self.covariance[6 * first : 6 * last, 6 * first : 6 * last], size)
 
@@ -254,10 +254,10 @@ def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArr
 
 def inflation(found: Estimate) -> float:
     """Factor, at least 1, by which errors that are correlated in time enlarge the standard deviations of the tags'
-    positions. It is the geometric mean of the factors of single tags, which are computed from blocks of time.
+    positions. The factor is the geometric mean of the factors of single tags, which are computed from blocks of time.
 
-    The factor is 1 if there are too few frames for blocks. If motion links frames, only frames with two or more tags
-    are used. Such frames may connect the map only in parts; the largest part is then used.
+    With too few frames for blocks, the factor is 1. If motion links frames, only frames with two or more tags are used.
+    Such frames may connect the map only in parts; the largest part is then used.
 
     Args:
         found: estimate with an inflation of 1.
@@ -307,7 +307,7 @@ def _without_links(found: Estimate) -> Estimate:
 
 def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> FloatArray:
     """Contribution of one block of time to the error of each tag's position relative to the other tags, metres,
-    `(n, 3)`. It is x_b in the formulas of this module, for the n tags with a covariance.
+    `(n, 3)`. The contribution is x_b in the formulas of this module, for the n tags with a covariance.
 
     Args:
         found: estimate.

@@ -104,8 +104,10 @@ def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
         return None
 
     def squares(motion: FloatArray) -> FloatArray:
-        """Squared difference between each tag's pose in `here`, moved by `motion`, and its pose in `there`, `(K,)`. It
-        is the sum of (distance of the centres / `PLACE_SCALE`)^2 and (angle between the normals / `NORMAL_SCALE`)^2.
+        """Squared difference between each tag's pose in `here`, moved by `motion`, and its pose in `there`, `(K,)`.
+
+        The difference is the sum of (distance of the centres / `PLACE_SCALE`)^2 and (angle between the normals /
+        `NORMAL_SCALE`)^2.
         """
         moved = motion @ here
         away = np.linalg.norm(moved[:, :3, 3] - there[:, :3, 3], axis=1) / PLACE_SCALE

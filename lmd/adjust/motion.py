@@ -240,8 +240,8 @@ class Motion:
         return Links(6, first, seconds, information, inverse(self.path[i]) @ self.path[j], bias)
 
     def information(self, i: IntArray, j: IntArray) -> FloatArray:
-        """Inverse covariances of the errors of M links from frames `i` to frames `j`, indices `(M,)` each. They have
-        the shape `(M, 6, 6)` for odometry, `(M, 12, 12)` for a constant velocity.
+        """Inverse covariances of the errors of M links from frames `i` to frames `j`, indices `(M,)` each. The matrices
+        have the shape `(M, 6, 6)` for odometry, `(M, 12, 12)` for a constant velocity.
         """
         turn, place = self.spread
         if self.path is None or self.drift is None:

@@ -215,7 +215,7 @@ class Prior:
 
     def loss(self, poses: Poses) -> float:
         """Sum of the losses of the priors on tags, sheets and mounts. The loss is quadratic for mounts, and for tags
-        with exact poses or correlated errors. It is robust for all other tags, and for sheets.
+        with exact poses or correlated errors. For all other tags and for sheets, the loss is robust.
         """
         off, exact = self.off(poses.tags), self.exact
         if self.joint is not None:

@@ -8,8 +8,8 @@ All nuisance parameters have priors, so that the covariance of the poses account
 - *Shifts*: blur and exposure move all edges in the images of a camera inward or outward by s_1 + s_2 (2 / pitch)^2
   pixels. The pitch is the number of pixels per module of the tag. The shift adds to the detector's measured shift, and
   makes tags look smaller or larger.
-- *Shapes* are deformations of tags, see `lmd.adjust.sightings.SHAPES`. Their standard deviation is estimated by
-  expectation-maximisation. Its square is the mean, over modes and tags, of the squared estimate plus the estimate's
+- *Shapes* are deformations of tags, see `lmd.adjust.sightings.SHAPES`. The standard deviation of shapes is estimated by
+  expectation-maximisation: its square is the mean, over modes and tags, of the squared estimate plus the estimate's
   variance.
 """
 
@@ -50,8 +50,8 @@ def _never(_done: int, _most: int) -> bool:
 
 
 def with_lenses(found: Estimate, seen: Observations, is_rough: bool = False) -> Estimate:
-    """Estimate with the nuisance parameters of cameras (intrinsics and shifts of corners) as unknowns. They begin at
-    their prior means, which are those of the given cameras.
+    """Estimate with the nuisance parameters of cameras (intrinsics and shifts of corners) as unknowns. These unknowns
+    begin at their prior means, which are those of the given cameras.
 
     Args:
         found: estimate with the given cameras.
@@ -301,8 +301,8 @@ def edge_doubts(found: Estimate) -> list[str]:
     """List with one sentence that doubts the stated edge length of the tags; empty if there is no reason for doubt.
 
     The edge length is doubted if another edge length of all tags explains the images and the known poses better. The
-    growth common to all tags is estimated as one more unknown. It differs from a shift of edges by blur: larger edges
-    move corners outward in proportion to the size of a tag in the image.
+    growth common to all tags is estimated as one more unknown. This growth differs from a shift of edges by blur:
+    larger edges move corners outward in proportion to the size of a tag in the image.
 
     Args:
         found: result of `refine`.

@@ -31,8 +31,8 @@ def pose_columns(poses: FloatArray) -> dict[str, ArrayLike]:
 
 
 def covariance_columns(poses: FloatArray, covariances: FloatArray) -> dict[str, ArrayLike]:
-    """Columns of a table with the covariances of position and rotation in the world frame, keyed by name. They hold the
-    upper triangle of each matrix, row by row. `covariances` `(n, 6, 6)` are those of the twists of the `poses`
+    """Columns of a table with the covariances of position and rotation in the world frame, keyed by name. The columns
+    hold the upper triangle of each matrix, row by row. `covariances` `(n, 6, 6)` are those of the twists of the `poses`
     `(n, 4, 4)`.
     """
     world = in_world(poses, covariances)

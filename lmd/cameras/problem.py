@@ -152,7 +152,7 @@ class CameraProblem(Problem):
     def stay(self, mounts: Sequence[Mount]) -> bool:
         """True if all cameras are inside the room at every position of the body.
 
-        The test takes as long as an evaluation. It nearly always succeeds, as the corners of the body are in the room.
+        The test takes as long as an evaluation, and nearly always succeeds, as the corners of the body are in the room.
         """
         try:
             replace(self.scene, camera=Rig(tuple(mounts))).check_inside(self.evaluator.positions)

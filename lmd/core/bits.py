@@ -95,7 +95,7 @@ def add_set(digits: WordArray, axes: np.uint64, decrement: np.uint64) -> None:
     """Add 1 to the counters of the axes in the mask `axes`, or subtract 1 from those that are also in `decrement`.
 
     A mask is a 64-bit integer with one bit for each axis. `digits` `(J,)` are the binary digits of the counters, the
-    lowest digit first: digit j has bit j of the counter of each axis. They are changed in place.
+    lowest digit first: digit j has bit j of the counter of each axis. The digits are changed in place.
     """
     for j in range(np.uint64(len(digits))):
         digits[j], axes = add_digit(digits[j], axes, decrement)

@@ -34,7 +34,7 @@ class CompileClock:
     def stopped(self, function: Any) -> Iterator[None]:
         """Context manager that stops the clock while a function is compiled.
 
-        It prints the name of the function unless the compilation is nested in another compilation.
+        The manager prints the name of the function unless the compilation is nested in another compilation.
         """
         with self._lock:
             self._compiling += 1

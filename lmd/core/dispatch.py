@@ -43,7 +43,7 @@ class Dispatched(Protocol[P, R_co]):
 def dispatched(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
     """Make a function that calls the function registered for the class of its first argument.
 
-    It is called like `declaration`, whose body is not used. Its calls are inlined, see `compiled.inlined`.
+    The function is called like `declaration`, whose body is not used. Calls are inlined, see `compiled.inlined`.
     """
     return _dispatched(declaration, None, OVERLOAD_INLINED)
 

@@ -158,8 +158,8 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     """Fit the limits of a detector to one half of the views, and score them on the other half.
 
     Views that are not from a recording (`placed` is None) are halved at random. The minimised value is max(false
-    positives, false negatives). It balances the two kinds of error, so that the predicted fraction of frames with at
-    least n tags is unbiased.
+    positives, false negatives). This value balances the two kinds of error, so that the predicted fraction of frames
+    with at least n tags is unbiased.
 
     The views of a recording are halved in time, as consecutive images are similar. The minimised value is the total
     number of errors. Balanced errors would compensate for tags that are missed because of glare or occlusion, which the

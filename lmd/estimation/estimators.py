@@ -91,9 +91,9 @@ def errors_of(
     Args:
         recording: S runs.
         start: initial estimate of the pose, `(S, 4, 4)`.
-        run: function of the recording, the index s of a run and the run's initial estimate `(4, 4)`. It gives, for each
-            frame of the run, the estimate Xh `(4, 4)` and the covariance of its error as a body twist, `(6, 6)`; NaN
-            without an estimate.
+        run: function of the recording, the index s of a run and the run's initial estimate `(4, 4)`. The function
+            gives, for each frame of the run, the estimate Xh `(4, 4)` and the covariance of its error as a body twist,
+            `(6, 6)`; NaN without an estimate.
     """
     runs = [list(run(recording, s, first)) for s, first in enumerate(start)]
     errors = pose_errors(recording.poses, np.array([[pose for pose, _ in one] for one in runs]))

@@ -52,7 +52,7 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
 
 
 def _p_value(differences: FloatArray) -> float:
-    """P-value of the Wilcoxon signed-rank test for paired `differences`; 1 if all are 0, NaN if there are none."""
+    """P-value of the Wilcoxon signed-rank test for paired `differences`; 1 if all are 0, NaN without differences."""
     if not differences.size:
         return np.nan
     return float(wilcoxon(differences).pvalue) if differences.any() else 1.0

@@ -48,7 +48,7 @@ class InitialError(Checked):
     def applied(self, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draw a first estimate of a camera's pose, `(4, 4)`.
 
-        It differs from the true `pose` by the position error and the attitude error, in random directions.
+        The estimate differs from the true `pose` by the position error and the attitude error, in random directions.
         """
         directions = rng.normal(size=(2, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)

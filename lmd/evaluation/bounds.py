@@ -33,8 +33,8 @@ K_s max_j g_js; each maximum is sought where a tag of that size may hang.
 
 A localised view covers n landmarks, so the bounds also hold for `Localisation`, although they ignore its tolerance.
 
-A second upper bound follows from submodularity. It holds for landmarks chosen from a grid of poses, and is compared
-with the value of the greedy choice.
+A second upper bound follows from submodularity. This bound holds for landmarks chosen from a grid of poses, and is
+compared with the value of the greedy choice.
 
 Greedy selection maximises f, the `selection` of an objective, which is monotone and submodular in the landmarks without
 occlusion. So for *any* set S the best K poses of a grid, each taken once, reach at most

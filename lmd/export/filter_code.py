@@ -1,7 +1,7 @@
 """Code that tells a robot's filter the standard deviations of poses measured from tags: a Java class for WPILib.
 
 WPILib's pose estimators take the standard deviations of a measurement's x [m], y [m] and heading [rad], by
-`setVisionMeasurementStdDevs` or with each `addVisionMeasurement`. The class computes these numbers. It also has
+`setVisionMeasurementStdDevs` or with each `addVisionMeasurement`. The class computes these numbers. The class also has
 constants for two common formulas: those of PhotonVision's examples, and the baseline of AdvantageKit's template, which
 multiplies it by d^2 / n (mean distance d of n tags). Limelight publishes standard deviations and accepts none.
 """

@@ -102,7 +102,7 @@ ARROW = 6.3  # length of the arrows of the axes
 def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
     """The number s of the scale 1 : s of the floor plan on the page.
 
-    It is the first of `scales` at which the plan fits into `width` x `height`, mm, or the last if none fits.
+    The number is the first of `scales` at which the plan fits into `width` x `height`, mm, or the last if none fits.
     """
     low, high = room.bounds()
     across, up = (1000.0 * (high - low)[:2]).tolist()

@@ -92,7 +92,7 @@ def _draw_sheet(canvas: Any, tags: TagMap, tag: Tag, sheets: Layout, chosen: lis
 def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, right: float) -> None:
     """Draw tag k with the lower left corner of its paper at (x, y), mm.
 
-    Its label is in the margin, or above the tag if the margin is too narrow, and does not extend beyond x = `right`.
+    The label is in the margin, or above the tag if the margin is too narrow, and does not extend beyond x = `right`.
     """
     number = tags.ids[k]
     plate, edge, module = (MM_PER_M * length for length in (tag.paper_edge, tag.picture_edge, tag.module))

@@ -285,8 +285,8 @@ def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
 def _commented(lines: Lines, of: str) -> Layout | None:
     """Layout of the columns, from the last comment that names columns; None if no comment does.
 
-    A comment names the columns in three cases. It has the names of a pose's columns; it has as many words as a line has
-    values; or it begins with the columns of a tag's number and position.
+    A comment names the columns in three cases. The comment has the names of a pose's columns; has as many words as a
+    line has values; or begins with the columns of a tag's number and position.
 
     Raises:
         InputError: a comment names more columns than the first line has values.

@@ -191,7 +191,7 @@ class KeyedDetections:
 def read_detections(path: Any, topic: Any = None) -> DetectedTags:
     """Read detections from the JSON of a program such as PhotonVision, from a bag, or from a table.
 
-    A table has the columns `time,id,x0,y0,...,x3,y3`. Its corners are clockwise from the top left in OpenCV's pixels,
+    A table has the columns `time,id,x0,y0,...,x3,y3`. The corners are clockwise from the top left in OpenCV's pixels,
     whose origin is the centre of the first pixel. The column of the time may also be named `stamp` or `image`, and may
     hold any text, such as the name of a photograph. The column `camera` or `topic` names the camera; without this
     column there is one camera. Further columns are ignored.

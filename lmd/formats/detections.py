@@ -123,7 +123,7 @@ class DetectedTags:
     def without(self, blurs: Mapping[str, float]) -> "DetectedTags":
         """Copy without the detections in blurred frames.
 
-        `blurs` is the blur of each blurred frame, pixels, keyed by the frame's name. It is added to the field
+        `blurs` is the blur of each blurred frame, pixels, keyed by the frame's name. The blur is added to the field
         `blurred`.
 
         Raises:

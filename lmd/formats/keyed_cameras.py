@@ -147,7 +147,7 @@ class _Camera:
         return plain(path) if self.form.loose else path
 
     def value(self, path: str) -> Any:
-        """Value to which a path of keys leads in the camera's entry; `MISSING` if there is none."""
+        """Value to which a path of keys leads in the camera's entry; `MISSING` without such a value."""
         return find(self.entry, self.path(path))
 
     def numbers(self, path: str, size: int | None = 1) -> tuple[float, ...]:

@@ -43,7 +43,7 @@ class Writer(NamedTuple):
 
     Args:
         file: name of the file.
-        write: function that writes the file. Its arguments are the path, the tag map `tags` and, for printed files, the
+        write: function that writes the file. The arguments are the path, the tag map `tags` and, for printed files, the
             paper size `paper`.
         only_apriltag: True if readers of the format support only the families of AprilTag.
         only_opencv: True if readers of the format support only families that OpenCV has.

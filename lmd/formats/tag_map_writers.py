@@ -46,8 +46,8 @@ def write_apriltag_ros(path: Path, tags: TagMap) -> None:
 def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
     """Write `tags.apriltag_ros2.yaml`, the parameters of the node that detects tags.
 
-    The parameters list the ids and sizes of the tags, and name the frame of each tag. They have no poses: programs that
-    use the detections need a map.
+    The parameters list the ids and sizes of the tags, and name the frame of each tag. The parameters have no poses:
+    programs that use the detections need a map.
 
     Source: christianrauch/apriltag_ros, `cfg` and `tag_functions`.
     """

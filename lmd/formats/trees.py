@@ -64,8 +64,8 @@ def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> 
     A step of the path is a key; or `*`, which stands for each entry of a list or a mapping; or `/PATTERN/`, for each
     key that matches a regular expression; or `**KEY`, for the mappings at any depth that have the key KEY.
 
-    An entry also gets the keys and values of the mappings that contain it, unless it has these keys itself. It gets no
-    keys from other entries beside it. A value that is not a mapping becomes a mapping with the one key `value`.
+    An entry also gets the keys and values of the mappings that contain it, unless it has these keys itself. An entry
+    gets no keys from the entries beside it. A value that is not a mapping becomes a mapping with the one key `value`.
     """
     step, _, rest = path.partition(".")
     own, outer = dict(tree) if isinstance(tree, Mapping) else {}, around or {}

@@ -151,7 +151,7 @@ class Camera(Checked):
         sensor / f).
 
         For a distorting lens, the angle of a border is that of the ray through the border's point nearest to the
-        principal point. It is at most `widest_angle`.
+        principal point. The angle is at most `widest_angle`.
         """
         if self.lens is None:
             return FieldOfView(*map(math.atan, self._borders))

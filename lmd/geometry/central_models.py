@@ -2,7 +2,7 @@
 projection.
 
 The first three models project a point (u, v, w) at the distance r to (u, v) / d, in units of the model's focal lengths.
-They differ in d.
+These models differ in d.
 
 - the double sphere of Usenko, Demmel and Cremers (2018), `ds`: d = alpha sqrt(u^2 + v^2 + s^2) + (1 - alpha) s with
   s = xi r + w.

@@ -66,8 +66,8 @@ class Profile(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """Bounds on the local scale of a lens (image length per angle), see `Lens.stretch`. They are valid up to some angle
-    from the optical axis.
+    """Bounds on the local scale of a lens (image length per angle), see `Lens.stretch`. The bounds are valid up to some
+    angle from the optical axis.
     """
 
     least: float

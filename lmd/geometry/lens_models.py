@@ -11,8 +11,8 @@ is
     (x g + 2 p1 x y + p2 (s + 2 x^2) + s1 s + s2 s^2, y g + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2),
     g = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3).
 
-`Equidistant` is a fisheye (Kannala and Brandt, 2006). It projects a point at the angle theta from the optical axis to
-the distance t(theta) from the principal point. Points behind the camera are projected, too. Here
+`Equidistant` is a fisheye (Kannala and Brandt, 2006). This lens projects a point at the angle theta from the optical
+axis to the distance t(theta) from the principal point. Points behind the camera are projected, too. Here
 t(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
 Sources: `cv2.projectPoints`, `cv2.fisheye`; `sensor_msgs/distortion_models` for the names.

@@ -47,7 +47,7 @@ class Trajectory:
 
     @property
     def twists(self) -> FloatArray:
-        """Body twists U between successive frames, `(T - 1, 6)`, rad/s and m/s. They are defined by
+        """Body twists U between successive frames, `(T - 1, 6)`, rad/s and m/s. The twists are defined by
         X_t+1 = X_t exp(h U) for the time step h.
         """
         return log(inverse(self.poses[:-1]) @ self.poses[1:]) / np.diff(self.time)[:, None]

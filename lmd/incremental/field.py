@@ -1,7 +1,7 @@
 """Fields (incremental evaluators), which update the value of each position when a single landmark moves.
 
-A field is a named tuple of constant arrays. Its *state* has the arrays that change with the landmarks, and its
-*scratch* is working memory with the arrays of a move that is tried. A move consists of the steps
+A field is a named tuple of constant arrays. The *state* of a field has the arrays that change with the landmarks, and
+the *scratch* is working memory with the arrays of a move that is tried. A move consists of the steps
 
     bound -> settle -> accept (-> undo),
 
@@ -110,7 +110,7 @@ def places_of(deployment: Deployment) -> Places:
 class Target(Protocol):
     """Interface of functions that compute the fitness from the values of all positions.
 
-    A target is a named tuple. Its class registers its own versions of `smoothed` and `contribution`.
+    A target is a named tuple. The target's class registers its own versions of `smoothed` and `contribution`.
     """
 
     @property

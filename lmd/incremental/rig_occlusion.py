@@ -69,9 +69,9 @@ def _find_pair(
 ) -> None:
     """Update the orientations with which the move of landmark k changes whether landmark i is hidden.
 
-    They are the set `flipped` of landmark i. The update is for one place of landmark k: its old place or its new place,
-    as `role` says. The body is at position q, with the coordinates `body`, metres. If the set changes, q is marked as
-    touched, and the pair of i and q is listed.
+    The orientations are the set `flipped` of landmark i. The update is for one place of landmark k: its old place or
+    its new place, as `role` says. The body is at position q, with the coordinates `body`, metres. If the set changes, q
+    is marked as touched, and the pair of i and q is listed.
     """
     (group, mine, other), (c, _, i, k, _) = groups, near
     pose, changed, covered, occluded = pose_of(i, state), False, mine[COVERED], mine[OCCLUDED]

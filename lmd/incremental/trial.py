@@ -218,7 +218,7 @@ def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any)
 def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, state: Any, scratch: Any) -> None:
     """Compute P_n, the probability that n landmarks are covered, at `positions` after the trial move.
 
-    P_n is written to `scratch.units`. It follows from the row `FRESH`, the orientations that cover landmark k at its
+    P_n is written to `scratch.units`, and follows from the row `FRESH`, the orientations that cover landmark k at its
     new place, and from the changed occlusion of the landmarks in `pairs`.
     """
     enough, asked = state.counts.sets[ENOUGH], scratch.sets[ASKED]

@@ -4,8 +4,8 @@ An image has a pose X from its localisation and a pose Y from the model, both fr
 S (`lmd.formats.reconstructions`) moves Y to S Y. The residual is the twist log(X^-1 S Y), rad and metres. The
 covariance of the residual is the sum of the covariances of both poses. Errors of the map and of the cameras cause a
 part of X's covariance that is common to all images. The model's errors of position and of rotation are assumed to be
-independent from image to image and along each axis. Their variances are estimated from the residuals. Images whose
-chi^2 exceeds `MOVED_CHI_SQUARE` are left out of the fit.
+independent from image to image and along each axis. The variances of these errors are estimated from the residuals.
+Images whose chi^2 exceeds `MOVED_CHI_SQUARE` are left out of the fit.
 """
 
 from typing import Any

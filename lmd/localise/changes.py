@@ -1,15 +1,15 @@
 """Tags that were moved since the map was made, and new tags.
 
 *Moved tags* are found by a bundle adjustment with the map as the prior. Subscripts select the rows and columns of tags.
-Let u be the twists of the tags from their poses in the map to their estimated poses. Their posterior covariance is P,
-and their prior covariance is S. The *trusted* tags r, which were not moved, have the prior N(0, S_rr) with the
+Let u be the twists of the tags from their poses in the map to their estimated poses. The posterior covariance of u is
+P, and the prior covariance is S. The *trusted* tags r, which were not moved, have the prior N(0, S_rr) with the
 information matrix J = S_rr^-1. The pose of each tag in the map is compared with its pose according to the images and
 all other trusted tags.
 
 - If a trusted tag k was moved by the twist t, its prior holds for u_k - t. The information matrix of t is Q_kk with
   Q = J - J P J, and t = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
 - A tag k of the map that is not trusted is expected at A u_r, given the trusted tags, with A = S_kr J. So
-  t = u_k - A u_r. Its covariance is that of u_k - A u_r under P, plus S_kk - A S_rk.
+  t = u_k - A u_r, with the covariance of u_k - A u_r under P, plus S_kk - A S_rk.
 
 If a tag was not moved, t^T cov(t)^-1 t has the chi^2 distribution with six degrees of freedom. Moved tags lose their
 prior, in the order of decreasing chi^2, until no other tag exceeds the threshold.

@@ -57,8 +57,8 @@ class FixedMap:
         return FixedMap(ids, poses, edges, sigmas, spread(self.joint, there, own, len(ids)))
 
     def prior(self, moved: BoolArray, mounts: Mounts | None = None) -> Prior:
-        """Prior for a bundle adjustment. It has the poses of the map's tags that are not in the mask `moved` `(K,)`,
-        and the prior `mounts` of the poses of the cameras on the body.
+        """Prior for a bundle adjustment. The prior has the poses of the map's tags that are not in the mask `moved`
+        `(K,)`, and the prior `mounts` of the poses of the cameras on the body.
 
         In the covariance of a surveyed map, a common motion of all tags has zero variance. The prior raises all
         variances by a small amount, so that the covariance has an inverse.

@@ -139,7 +139,7 @@ def _are_apart(one: FloatArray, two: FloatArray, away: FloatArray) -> BoolArray:
 
 
 def states_of(found: Estimate, others: FloatArray) -> tuple[NDArray[np.object_], FloatArray]:
-    """Decide for each frame: localised, no tag of the map, or two poses that cannot be told apart.
+    """Decide for each frame: localised, no tag of the map, or two poses that cannot be distinguished.
 
     Args:
         found: estimate with a pose of each frame that shows a tag of the map.

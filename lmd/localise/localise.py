@@ -183,9 +183,9 @@ def _begun(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[tuple[Ob
 
 
 def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, int]:
-    """Detections whose corners begin at the top left, and the new index of corner 0 of the given detections. Of the
-    four indices, the one with which most sightings fit is chosen, the lowest in a tie. Only frames with several tags of
-    the map are used; without such frames the index is 0.
+    """Detections whose corners begin at the top left, and the new index of corner 0 of the given detections. The index
+    with which most sightings fit is chosen, the lowest in a tie. Only frames with several tags of the map are used;
+    without such frames the index is 0.
     """
     detected = seen.detected
     of_map = np.flatnonzero(np.isin(detected.ids, here.ids[here.has]))

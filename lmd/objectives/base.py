@@ -139,7 +139,7 @@ class Objective(Protocol):
         """Raise `InputError` if `count` landmarks are too few for the objective."""
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
-        """Value in [0, 1] of each position of `evaluator`, `(B, P)`, for B deployments. Their landmarks have
+        """Value in [0, 1] of each position of `evaluator`, `(B, P)`, for B deployments. The deployments' landmarks have
         `positions`, metres, and unit `normals`, `(B, K, 3)` each.
         """
 
@@ -156,7 +156,7 @@ class Objective(Protocol):
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
         """Arrays of which the means over positions are figures (metrics), keyed by the figure's name.
 
-        Each array has the shape of `values`. Its entries are the contributions of the positions to the figure.
+        Each array has the shape of `values`. The entries are the contributions of the positions to the figure.
         """
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:

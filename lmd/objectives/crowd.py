@@ -151,8 +151,8 @@ def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevanc
 def slope_target(target: Target, units: IntArray) -> Target:
     """Target with which optimisers compute the derivatives of the fitness at the quantised values `units` `(Q,)`.
 
-    Its fitness is a sum over positions. At these values, the derivatives of this sum are those of the fitness of
-    `target`.
+    The target's fitness is a sum over positions. At these values, the derivatives of this sum are those of the fitness
+    of `target`.
     """
     return target.of_worst(units) if isinstance(target, WorstGroups) else target
 

@@ -1,8 +1,8 @@
 """Field (incremental evaluator) for visibility models without a compiled model of sight: each move costs a full
 evaluation.
 
-The field runs as plain Python (`lmd.incremental.field.runner`). It has no stacks (groups of coincident landmarks),
-because the visibility model cannot be evaluated without occlusion.
+The field runs as plain Python (`lmd.incremental.field.runner`). The field has no stacks (groups of coincident
+landmarks), because the visibility model cannot be evaluated without occlusion.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,8 @@ class ReferenceScratch(NamedTuple):
 
 @dataclass(frozen=True)
 class ReferenceField:
-    """Field (incremental evaluator) that evaluates all Q positions anew for each move; a `lmd.incremental.field.Field`.
+    """Field (incremental evaluator) that evaluates all Q positions again for each move; a
+    `lmd.incremental.field.Field`.
 
     Args:
         objective: objective that computes the values.

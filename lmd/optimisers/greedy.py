@@ -28,8 +28,8 @@ class Greedy(Annealing):
     """Greedy selection from a grid of poses on the surfaces, refined by annealing at a low temperature.
 
     Landmarks are chosen one by one, each at the pose with the largest gain of a surrogate of the objective
-    (`selection`). Their footprints do not overlap. Evaluating the gain at one pose costs as much of the budget as
-    moving one landmark. The rest of the budget is spent on the annealing.
+    (`selection`). The landmarks' footprints do not overlap. Evaluating the gain at one pose costs as much of the budget
+    as moving one landmark. The rest of the budget is spent on the annealing.
 
     Args:
         spacing: spacing of the grid, metres; enlarged if the budget does not suffice.

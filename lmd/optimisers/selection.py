@@ -6,9 +6,9 @@ surrogate is monotone and submodular, so the choice reaches at least 1 - 1/e of 
 a pose never increases when other poses are added. So the gain is computed again only while its last known value is the
 largest, which does not change the result (lazy variant, Minoux 1978).
 
-For tags of several sizes, a candidate is a pose with a size. It may be chosen while unplaced tags of this size remain.
-If instead the paper area or the cost of all tags is limited, candidates are compared by their gain divided by their
-*price*: the area or cost of one tag.
+For tags of several sizes, a candidate is a pose with a size. A candidate may be chosen while unplaced tags of this size
+remain. If instead the paper area or the cost of all tags is limited, candidates are compared by their gain divided by
+their *price*: the area or cost of one tag.
 """
 
 import operator
@@ -101,8 +101,8 @@ def select(
     A pose is chosen at most once, and no footprints of tags overlap.
 
     Args:
-        selection: surrogate of the objective, which gives the gain of adding a landmark. It contains no landmarks at
-            first; fixed and chosen landmarks are added in place.
+        selection: surrogate of the objective, which gives the gain of adding a landmark. The surrogate contains no
+            landmarks at first; fixed and chosen landmarks are added in place.
         poses: N candidate poses.
         stock: landmarks that may be chosen, and their prices; a number of landmarks if these are points.
         footprints: footprints of the tags; None for landmarks that are points.

@@ -30,10 +30,10 @@ class Worker(Generic[Question]):
     """Daemon thread that works on one question (a task) at a time; a new question replaces the previous one.
 
     Args:
-        work: function that works on a question. Its arguments are the question, and a function that returns True while
-            the result is still wanted.
-        failed: function that is called in this thread if `work` fails. Its arguments are the question and the reason,
-            as a sentence.
+        work: function that works on a question. `work` takes the question, and a function that returns True while the
+            result is still wanted.
+        failed: function that is called in this thread if `work` fails. `failed` takes the question and the reason, as a
+            sentence.
     """
 
     def __init__(self, work: Callable[[Question, Wanted], None], failed: Callable[[Question, str], None]) -> None:

@@ -30,7 +30,7 @@ class Plan:
 
     @classmethod
     def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
-        """Make the plan of a deployment; tags with the ids of the tags in `hung`, which hang already, are pinned."""
+        """Make the plan of a deployment; tags with the ids of the tags in `hung`, which already hang, are pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
         return cls(replace(deployment, labels=labels), pinned)

@@ -56,7 +56,7 @@ def size_of(room: Space) -> FloatArray:
 def spacing_of(room: Space, positions: FloatArray) -> float:
     """Typical distance between neighbouring positions `(P, 3)`, metres; for one position, the size of the room.
 
-    It is the median of the distances from a position to the nearest other position.
+    The result is the median of the distances from a position to the nearest other position.
     """
     some = positions[:: max(1, len(positions) // SPACING_SAMPLE)]
     away = (np.linalg.norm(positions - one, axis=1) for one in some)
@@ -67,7 +67,7 @@ def spacing_of(room: Space, positions: FloatArray) -> float:
 def ball_scale(room: Space, positions: FloatArray) -> float:
     """Factor for the diameter of the balls that are drawn at positions, at most 1.
 
-    It is less than 1 if the positions are closer together, relative to the room's diagonal, than in the paper.
+    The factor is less than 1 if the positions are closer together, relative to the room's diagonal, than in the paper.
     """
     return min(1.0, spacing_of(room, positions) / float(np.linalg.norm(size_of(room))) / 0.046)
 

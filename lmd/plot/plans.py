@@ -1,7 +1,7 @@
 """Pictures of rooms from above, as PNGs.
 
-They show the camera positions of a room, the predicted accuracy of the position from one image, surveyed tags with
-their planned places, or the camera poses of a localisation.
+The pictures show the camera positions of a room, the predicted accuracy of the position from one image, surveyed tags
+with their planned places, or the camera poses of a localisation.
 """
 
 from collections.abc import Callable, Mapping

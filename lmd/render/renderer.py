@@ -65,7 +65,7 @@ class Face(NamedTuple):
     def scale(self, camera: Camera, point: FloatArray) -> float:
         """Scale of the camera's image relative to the face: pixels of the camera's image per pixel of the face.
 
-        It is the scale near the image of `point` `(3,)`, a point in the camera's frame.
+        The result is the scale near the image of `point` `(3,)`, a point in the camera's frame.
         """
         if camera.lens is None:
             return 1.0
@@ -174,8 +174,8 @@ class Renderer:
     def _sigma(self, square: FloatArray, face: Face) -> float:
         """Standard deviation of the blur of a tag in one face (pinhole image) of the frame, pixels of the face.
 
-        It is the blur of the camera's image at the depth of the tag's centre, divided by `Face.scale` at the centre.
-        `square` `(4, 3)` has the corners of the tag in the frame of the face, metres.
+        The result is the blur of the camera's image at the depth of the tag's centre, divided by `Face.scale` at the
+        centre. `square` `(4, 3)` has the corners of the tag in the frame of the face, metres.
         """
         centre, sigma, camera = face.turn.T @ square.mean(axis=0), self.imaging.psf_sigma, self.camera
         if self.imaging.defocus:

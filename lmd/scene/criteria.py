@@ -281,7 +281,7 @@ def covers(sight: Any, offset: Vector, normal: Vector, low: float, slack: float,
 def frame_of(sight: Any, normal: Vector) -> Any:
     """Compute `frame`, an argument of `covers_one` that depends only on the unit normal `normal` of a landmark.
 
-    It is computed once, and used for many orientations. By default `frame` is the normal itself.
+    `frame` is computed once, and used for many orientations. The default is the normal itself.
     """
     return normal
 

@@ -133,8 +133,8 @@ class Surveyed:
     A landmark's measurement is ignored if the landmark was moved, so that its present position is not in `positions`.
 
     Args:
-        positions: positions on or in front of the surfaces, world frame, metres, `(K, 3)`. They equal `places`, except
-            for landmarks measured behind a surface, which are moved to the surface.
+        positions: positions on or in front of the surfaces, world frame, metres, `(K, 3)`. The values equal `places`,
+            except for landmarks measured behind a surface, which are moved to the surface.
         places: measured positions, world frame, metres, `(K, 3)`.
         ups: unit vectors from the centres of the tags to their upper edges, world frame, `(K, 3)`.
     """

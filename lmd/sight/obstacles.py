@@ -53,7 +53,7 @@ class MeshObstacles(NamedTuple):
 
 
 def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -> Obstacles | MeshObstacles:
-    """Obstacles prepared for cameras at `positions` `(P, 3)`, metres; there are none if `blockers` is None."""
+    """Obstacles prepared for cameras at `positions` `(P, 3)`, metres; no obstacles if `blockers` is None."""
     if blockers is None:
         return Obstacles(np.empty((0, 3)), np.empty(0), np.zeros(1, dtype=np.int64), np.empty((0, 0)))
     if isinstance(blockers, Triangles):
@@ -154,7 +154,7 @@ def _find_end_points(obstacles: Any, sight: Any, place: Vector, normal: Vector, 
 def write_points(sight: Any, place: Vector, normal: Vector, points: FloatArray, k: Integer) -> None:
     """Write the points of landmark k that must be seen into `points` `(K, POINTS, 3)`, metres.
 
-    They are the centre `place` and, for a tag, its corners.
+    The points are the centre `place` and, for a tag, its corners.
     """
     half, sides = half_edge(sight), upright_axes(normal, VERTICAL_TOLERANCE)
     for i in range(POINTS if half > 0.0 else 1):

@@ -273,7 +273,8 @@ def is_shown(k: Integer, view: Viewpoint, count: Integer, p: Integer, sight: Any
 def list_shown(view: Viewpoint, count: Integer, p: Integer, sight: Any, room: Any) -> Any:
     """List the landmarks that some orientation sees from position p; return their number.
 
-    Their indices are written into `view.shown`. The arguments are those of `is_shown`, which tests each landmark.
+    The landmarks' indices are written into `view.shown`. The arguments are those of `is_shown`, which tests each
+    landmark.
     """
     shown, found = view.shown, np.uint64(0)
     for k in range(count):

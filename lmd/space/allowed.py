@@ -1,9 +1,9 @@
 """Allowed regions of a surface for landmarks, cut into trapezoids for compiled code.
 
 A region is a shapely polygon or multipolygon in the coordinates (a, b) of the surface, metres: a along the surface's
-unit vector u, b along its unit vector v. A trapezoid has two sides parallel to v, the left and the right side. It is
-stored as a row of six numbers in three pairs: coordinate a, lower b and upper b. The first number of a pair belongs to
-the left side, the second to the right side. Trapezoids cover the region exactly without overlaps.
+unit vector u, b along its unit vector v. A trapezoid has two sides parallel to v, the left and the right side. A
+trapezoid is stored as a row of six numbers in three pairs: coordinate a, lower b and upper b. The first number of a
+pair belongs to the left side, the second to the right side. Trapezoids cover the region exactly without overlaps.
 """
 
 import itertools

@@ -134,7 +134,7 @@ class RecordedRoom(Changed):
     def grid(self) -> FloatArray:
         """One position for each of the P visited cells, metres, `(P, 3)`.
 
-        It is the recorded position in the cell that is nearest to the mean of the cell's recorded positions.
+        The result is the recorded position in the cell that is nearest to the mean of the cell's recorded positions.
         """
         return self._positions[self._cells.chosen]
 

@@ -106,7 +106,7 @@ class FloorPlan(Checked):
 
     @cached_property
     def blockers(self) -> Blockers | None:
-        """Convex bodies that can block lines between points of the room; None if there are none."""
+        """Convex bodies that can block lines between points of the room; None without such bodies."""
         bodies = [*upright_bodies(self.ground), *(obstacle.body for obstacle in self.obstacles)]
         return Blockers.of(bodies) if bodies else None
 
@@ -247,7 +247,7 @@ class FloorPlan(Checked):
 def _covered(face: Surface, obstacle: Obstacle) -> Any:
     """Part of a face that an obstacle covers by touching the face: a shapely polygon, possibly empty.
 
-    Its coordinates are the coordinates (a, b) of the face, metres.
+    The polygon has the coordinates (a, b) of the face, metres.
     """
     import shapely
 

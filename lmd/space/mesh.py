@@ -270,7 +270,7 @@ class Interior:
 def _nearest_first() -> IntArray:
     """Offsets to the grid nodes from which a clear line to a point is searched, nearest node first, `(M, 3)`.
 
-    They are integers, counted from the lowest corner of the grid cell that contains the point.
+    The offsets are integers, counted from the lowest corner of the grid cell that contains the point.
     """
     offsets = np.array(list(itertools.product(range(1 - STEPS_TO_NODES, 1 + STEPS_TO_NODES), repeat=3)))
     return offsets[np.argsort(np.abs(offsets - 0.5).sum(axis=1), kind="stable")]

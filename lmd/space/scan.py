@@ -104,7 +104,7 @@ class Scan(Checked):
     def triangles(self) -> Triangles:
         """All triangles of the mesh, as obstacles to lines of sight.
 
-        Their tolerance, see `Triangles`, is greater than the unevenness of any patch.
+        The tolerance of the triangles, see `Triangles`, is greater than the unevenness of any patch.
         """
         uneven = [plane_of(self._corners[part])[1] for part in self._patches.values()]
         return Triangles.of(self.mesh.vertices, self.mesh.faces, PLACEMENT_TOLERANCE + max(uneven))

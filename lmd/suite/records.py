@@ -1,6 +1,6 @@
 """Entries to the suite (solutions with their origin), and records (entries with the score of the solution).
 
-An entry is a YAML file with the keys of `ENTRY`. Its `candidate` is a list of genes, or the name of a file in the
+An entry is a YAML file with the keys of `ENTRY`. The `candidate` is a list of genes, or the name of a file in the
 folder of the entry: a rig file if the problem places cameras, else a table of landmarks. For two objectives, the
 candidate is a Pareto front with a deployment for each point: the column `point` of the table has the number of the
 point to which a landmark belongs. `problems/best` has the best known candidates and their records.

@@ -94,7 +94,7 @@ class TagChoice(BlackBox):
     def values_of(self, deployment: Deployment) -> FloatArray:
         """Values of the two objectives, `(2,)`, for a deployment that consists of the hung tags.
 
-        They are the fitness of the deployment, and the fraction of all tags (or of their paper area) that is left out.
+        The values are the deployment's fitness, and the fraction of all tags (or of their paper area) that is left out.
         """
         used, every = (
             (sizes**2).sum() if self.by_paper else len(sizes)

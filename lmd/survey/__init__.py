@@ -7,7 +7,7 @@ Modules in the order of a survey:
   measured points, printed boards, odometry.
 - `start` finds rough poses of tags and frames, group by group; `groups` joins groups that no image connects, by the
   motion between frames.
-- `world` moves all poses into one world frame. It compares tags with their prior poses, to find tags that hang rotated
+- `world` moves all poses into one world frame, and compares tags with their prior poses, to find tags that hang rotated
   by quarter turns.
 - `results` formats tables, files and text.
 """

@@ -6,8 +6,8 @@
    alike (IPPE). For each part the smoothest sequence of these poses is found (Viterbi).
 3. Each part is adjusted by itself, with links of motion between its own frames; this also estimates the noise of the
    motion model (its *spread*).
-4. A *relation* is the relative pose of two parts. It is measured by pairs of frames, one of each part, that are near in
-   time. Relations join the parts, those with most agreeing frames first (maximum spanning tree).
+4. A *relation* is the relative pose of two parts. A relation is measured by pairs of frames, one of each part, that are
+   near in time. Relations join the parts, those with most agreeing frames first (maximum spanning tree).
 """
 
 from collections.abc import Sequence

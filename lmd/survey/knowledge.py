@@ -151,8 +151,8 @@ class PriorKnowledge:
         return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *named]))
 
     def edges(self, ids: IntArray, tag: Tag) -> FloatArray:
-        """Edge lengths of the tags `ids` `(K,)`, metres, `(K,)`. They are taken from `sizes`, else from the fixed tags,
-        else from the plan, else from `tag`.
+        """Edge lengths of the tags `ids` `(K,)`, metres, `(K,)`. The lengths are taken from `sizes`, else from the
+        fixed tags, else from the plan, else from `tag`.
         """
         edges = np.full(len(ids), tag.size)
         stated = [(known.ids, known.edges) for known in (self.plan, self.fixed) if known is not None]

@@ -125,8 +125,8 @@ class LogDeterminant:
     def choose(self, e: Evaluator, pose: Deployment) -> None:
         """Add a landmark at `pose` to the chosen landmarks; evaluator `e` has the size of its tag.
 
-        Its information is added to `sums`, and the log determinants `known` are updated; both arrays have an entry for
-        each view.
+        The landmark's information is added to `sums`, and the log determinants `known` are updated; both arrays have an
+        entry for each view.
         """
         raise NotImplementedError
 

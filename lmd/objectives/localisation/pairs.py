@@ -176,8 +176,8 @@ def add_to_body(
 ) -> None:  # fmt: skip
     """List each pair of a landmark and a view in which one camera of a rig sees this landmark.
 
-    `add_up` adds the information of the listed pairs to the information of the views. It is also called here when the
-    list is full.
+    `add_up` adds the information of the listed pairs to the information of the views. `add_up` is also called here when
+    the list is full.
 
     Args:
         mounts, m: the camera, mount m of the mount group `mounts`.
@@ -265,7 +265,7 @@ def _shares(found: Any, weight: float) -> Vector:
 def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
     """Compute the `mirrored_numbers` for the first `filled` pairs in `work`.
 
-    They tell if a tag's two poses can be distinguished.
+    The numbers tell if a tag's two poses can be distinguished.
     """
     for i in range(whole(filled)):
         weight = work[AT[3] + i]

@@ -118,8 +118,8 @@ def _sum_up(q: Integer, located: np.int64, covered: np.int64, weight: float, val
 def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: Any) -> None:
     """Compute the values of `positions` after the move, and write them to the scratch.
 
-    They follow from the orientations with which landmark k is seen at its new place, and from the changed occlusion of
-    other landmarks.
+    The values follow from the orientations with which landmark k is seen at its new place, and from the changed
+    occlusion of other landmarks.
     """
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
     counts, enough, digits = known.counts, known.counts.sets[ENOUGH], trial.digits

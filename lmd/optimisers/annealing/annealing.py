@@ -70,14 +70,14 @@ class Annealing(DeploymentSearch):
     A start that is not random (`uniform`, `file`) is improved in a single stage, without stacks and with footprints of
     true size. Landmarks are flush, because tilting a landmark never helps inside a cuboid.
 
-    The conditions of a stage are numbers such as temperatures and step sizes. They are given as a `Stage`, or as a
-    mapping of the fields of `Stage` that differ from the default.
+    The conditions of a stage are numbers such as temperatures and step sizes. The conditions are given as a `Stage`, or
+    as a mapping of the fields of `Stage` that differ from the default.
 
     Args:
         stacked: conditions of the stage that moves stacks.
         single: conditions of the stage that moves single landmarks after the stacks are separated.
-        sampled: conditions that replace `single` for an objective that is evaluated on random samples of poses. They
-            smooth the objective more, so that the walk does not overfit the samples.
+        sampled: conditions that replace `single` for an objective that is evaluated on random samples of poses. These
+            conditions smooth the objective more, so that the walk does not overfit the samples.
         given: conditions of the single stage if the start is not random. The temperature is higher than in `single`,
             because the start may be bad. If the objective is evaluated on samples, it is smoothed as in `sampled`.
         chosen: conditions that replace `given` after a greedy start; a run starts greedily if the objective allows no

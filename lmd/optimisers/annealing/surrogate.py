@@ -136,8 +136,8 @@ class Surrogate:
         """Prepare the walks, and return the places of the landmarks to which the walks must first move.
 
         The places are empty (`NOWHERE`) if the walks have these places already. If the objective is evaluated on random
-        samples, a new sample is drawn. Its size grows with the square of the completed fraction of the stage, because
-        the gains of late moves are smaller than the error of a small sample.
+        samples, a new sample is drawn. The sample's size grows with the square of the completed fraction of the stage,
+        because the gains of late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size
         redrawn = self._problem.resampled(LARGEST * conditions.done**2, rng)
@@ -258,11 +258,11 @@ def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack
 
 
 class MeanPlaces:
-    """Running mean of the places of each of K landmarks in simulated annealing on random samples of poses.
+    """Running mean of each landmark's places, for K landmarks, in simulated annealing on random samples of poses.
 
     Landmarks never come to rest, because each random sample has another optimum. The mean of a landmark's places is
     closer to the optimum over all samples than any single place. Later places have a larger weight, because the walk
-    still improves: averaging with polynomial decay (Shamir and Zhang, 2013). The mean of a landmark starts anew when
+    still improves: averaging with polynomial decay (Shamir and Zhang, 2013). The mean of a landmark starts again when
     the landmark changes its surface, or moves farther than `RESTART_M` from its mean.
 
     Args:

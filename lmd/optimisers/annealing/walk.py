@@ -165,7 +165,7 @@ def walk(
     Args:
         moves: length of the walk, counted in landmarks: a proposal for g landmarks counts g, also if it is rejected.
         places: poses and surfaces at the beginning of the walk; if empty, the walk begins with the `state` of `walker`.
-        walker: memory of the walk. Its `scratches` have one layer for each landmark that a single move can change.
+        walker: memory of the walk. The `scratches` have one layer for each landmark that a single move can change.
         field: incremental evaluator, which updates the value of each position after a move, a `Field`.
         target: functions that compute the fitness from the values, a `Target`.
         room: surfaces of the room, and footprints of all landmarks.

@@ -57,7 +57,7 @@ DIAGONAL = 1.4143  # diagonal of a square over its edge, rounded up
 class LensSight(NamedTuple):
     """Compiled thresholds of a tag detector's criteria for one camera with lens distortion.
 
-    It is a `lmd.scene.criteria.SightModel`. The thresholds include tolerances for rounding.
+    The class is a `lmd.scene.criteria.SightModel`. The thresholds include tolerances for rounding.
     """
 
     flat: FiducialSight
@@ -197,8 +197,8 @@ def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> 
 def _by_depth(lens: Any, pinholes: Any, offset: Vector, normal: Vector, slack: float) -> Any:
     """Three bounds on the coverage of a tag: the results `reached`, `high` and `sure` of `criteria.from_position`.
 
-    They are computed with the two pinhole models `pinholes`, which bound the pitch and the area of a tag seen through
-    the lens.
+    The bounds are computed with the two pinhole models `pinholes`, which bound the pitch and the area of a tag seen
+    through the lens.
     """
     _, _, _, sure = from_position(pinholes[0], offset, normal, slack)
     reached, _, high, _ = from_position(pinholes[1], offset, normal, slack)

@@ -251,8 +251,8 @@ def field_of_view(camera: Camera, depth: FloatArray, distance: FloatArray) -> Bo
     """Mask C^FOV of the landmarks in the cone of view: z > 0 and sqrt(x^2 + y^2) / z <= tan(min(phi)) (Eq. C_k^FOV).
 
     The landmark is at (x, y, z) in the camera frame, and min(phi) is the cone's half-angle. The test has the form z >=
-    |s| cos(min(phi)), which describes the same cone. It needs no division, and neither x nor y, which depend on the
-    camera's roll.
+    |s| cos(min(phi)), which describes the same cone. The test needs no division, and neither x nor y, which depend on
+    the camera's roll.
 
     Args:
         camera: intrinsics.

@@ -60,8 +60,8 @@ def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
 def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
     """Metrics of the group of jobs with the highest median fitness.
 
-    For each metric, the result has the best value and the median over the seeds. It is empty if the jobs have different
-    problems or none has a fitness.
+    For each metric, the result has the best value and the median over the seeds. The result is empty if the jobs have
+    different problems or none has a fitness.
     """
     known = [members for members in _groups(sweep, found).values() if _values(members, "fitness")]
     if not known or any(map(_is_of_problem, grouping_keys(sweep))):
@@ -95,7 +95,7 @@ def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
 def by_group(sweep: Sweep, found: list[Outcome]) -> str:
     """Table in Markdown with a row for each group of jobs: best value and median of each metric over the group.
 
-    If two or more keys vary, a table of medians comes first. It has a column for each value of the first of the
+    If two or more keys vary, a table of medians comes first. This table has a column for each value of the first of the
     `grouping_keys` (at most `MOST_COLUMNS`), and a row for each combination of values of the other keys.
     """
     from lmd.core.words import escaped, markdown_table

@@ -1,7 +1,7 @@
 """Views: settings of mlflow's page of runs, such as columns and charts, for an experiment or for a sweep.
 
-A view is a text. It is stored under a name in the experiment, and links to the page contain this name. `views.json` has
-settings from which views are built.
+A view is a text, stored under a name in the experiment; links to the page contain this name. `views.json` has settings
+from which views are built.
 """
 
 import base64
