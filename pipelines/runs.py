@@ -106,7 +106,7 @@ def hand_in_below(folder: Path, uri: str) -> None:
         try:
             journal = Journal.of(path.parent)
             if journal.store not in (None, uri) and not is_named:
-                raise InputError(f"it was recorded for {journal.store!r}: give tracking.uri, the store to send it to.")
+                raise InputError(f"it was recorded for {journal.store!r}: set tracking.uri to the store that gets it.")
             say(printable(hand_in(journal, uri)))
         except InputError as error:
             print(printable(f"error: {path}: {error}"), file=sys.stderr)

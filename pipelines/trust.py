@@ -79,7 +79,7 @@ class Trust:
         parts = {group: found[group] for group in groups if found.get(group) is not None}
         for group, part in parts.items():
             if not isinstance(part, dict) or "defaults" in part:  # `defaults` would make Hydra read other files
-                raise InputError(f"{source}: {group} must be a mapping without the key defaults.")
+                raise InputError(f"{source}: {group} must be a mapping without a key 'defaults'.")
             self.check(source, group, part)
             length = len(str(part))
             for where, leaf in _leaves(source, group, part, set()):
@@ -198,4 +198,4 @@ def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple
     elif isinstance(value, str | int | float | None) or is_target:
         yield key, value
     else:
-        raise InputError(f"{source}: {key} is not a plain value.")
+        raise InputError(f"{source}: {key} must be a number, a text, true, false or null.")

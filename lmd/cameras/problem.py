@@ -122,7 +122,7 @@ class CameraProblem(Problem):
         except InputError as error:
             if error.argument != "rig":
                 raise
-            raise InputError(f"boxes: the body leaves the room: {error}", "boxes") from None
+            raise InputError(f"boxes: the body is not inside the room: {error}", "boxes") from None
         # The orientations of a rig's problem include a roll if a roll of the body moves a camera.
         farthest = max(corners, key=lambda mount: float(np.linalg.norm(mount.translation[1:])))
         scene = replace(problem.scene, camera=Rig((farthest,)))

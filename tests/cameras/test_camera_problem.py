@@ -140,7 +140,7 @@ def test_methods_are_for_landmarks_or_for_cameras():
 
 def test_a_body_that_leaves_the_room_is_refused_also_where_it_carries_no_camera():
     low, top = [-0.2, -0.2, 0.0], {"low": [-0.2, -0.2, 0.1], "high": [0.2, 0.2, 0.9], "name": "mast", "faces": []}
-    with pytest.raises(InputError, match=r"^boxes: the body leaves the room: rig has a camera at"):
+    with pytest.raises(InputError, match=r"^boxes: the body is not inside the room: rig has a camera at"):
         problem(body=Body([{"low": low, "high": [0.2, 0.2, 0.1]}, top]))
 
 

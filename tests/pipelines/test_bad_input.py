@@ -135,7 +135,7 @@ CASES = [
     ("cameras", f"visibility.crowd=2 {LITTLE}", "optimise varies=cameras does not work with visibility.crowd"),
     ("cameras", "cameras.pitch=[1]", "cameras.pitch must be a list of 2 numbers"),
     ("cameras", "cameras.lenses=[none.yaml]", "cameras.lenses[0].path: there is no file 'none.yaml'"),
-    ("cameras", "\"body.boxes=[{low: [0, 0, 0], high: [9, 1, 1]}]\"", "body.boxes: the body leaves the room: "),
+    ("cameras", "\"body.boxes=[{low: [0, 0, 0], high: [9, 1, 1]}]\"", "body.boxes: the body is not inside the room: "),
     ("cameras", "\"camera.rig=[{translation: [0.42, 0, 0.3]}]\"", "cameras.count = 2, but the rig has 1 cameras"),
     ("cameras", f"optimiser=greedy {LITTLE}", "Greedy places landmarks, not cameras"),
     ("tradeoff", "size=true", "size needs a detector: set visibility=fiducial"),

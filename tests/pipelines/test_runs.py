@@ -161,7 +161,7 @@ def test_a_journal_goes_to_the_store_that_the_command_line_names(uri, folder, mo
     journal_of_a_stranger(folder, "http://127.0.0.1:9/\x1b[2J", "3f")
     done = synced(folder)
     assert done.returncode == 1
-    assert "it was recorded for 'http://127.0.0.1:9/\\x1b[2J': give tracking.uri" in done.stderr
+    assert "it was recorded for 'http://127.0.0.1:9/\\x1b[2J': set tracking.uri" in done.stderr
     assert not asked
     assert synced(folder, f"tracking.uri={uri}").returncode == 0
     assert asked == [uri]
