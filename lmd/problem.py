@@ -52,7 +52,10 @@ class Genome(Protocol):
         """Cameras that the genes `(dim,)` of a candidate encode; None if the scene's camera is fixed."""
 
     def reached(self, fitness: float) -> None:
-        """Receive the best fitness of a checkpoint, so that a resumed run decides as an uninterrupted run would."""
+        """Receive the best fitness of a checkpoint when a run is resumed.
+
+        An encoding that tests only new best candidates needs this fitness, so that the run goes on as if uninterrupted.
+        """
 
 
 def checked_genes(genes: FloatArray, *shape: int | str) -> FloatArray:
@@ -83,10 +86,10 @@ class Problem:
     """Problem of maximising an objective's fitness over deployments of K landmarks.
 
     `evaluator` evaluates the views from the P positions of the room's grid, with the orientations of the PDF;
-    `relevance` `(P,)` has the weights of these positions. With a crowd of S states, P counts each position of the grid
-    S times. All reported metrics are computed with these two attributes. Optimisers use `fitness_evaluator` and
-    `fitness_relevance`, which are for the objective's random sample of poses; without a sample, they equal the first
-    two.
+    `relevance` `(P,)` has the weights of these positions. With a crowd (people who hide landmarks, in S arrangements or
+    states), P counts each position of the grid S times. All reported metrics are computed with these two attributes.
+    Optimisers use `fitness_evaluator` and `fitness_relevance`, which are for the objective's random sample of poses.
+    Without a sample, they equal `evaluator` and `relevance`.
 
     Args:
         scene: scene, which is constant.
@@ -172,12 +175,15 @@ class Problem:
 
     @property
     def free_edges(self) -> FloatArray:
-        """Edge lengths of the landmarks to be placed, `(N,)`, metres; NaN stands for the edge of the scene's tag."""
+        """Edge lengths of the N landmarks to be placed, `(N,)`, metres, with N = `free_count`.
+
+        NaN stands for the edge of the scene's tag.
+        """
         return self.edges[self.fixed_count :]
 
     @property
     def free_sizes(self) -> FloatArray:
-        """Edge lengths of the landmarks that are to be placed, `(N,)`, metres; zeros for points."""
+        """Edge lengths of the N landmarks to be placed, `(N,)`, metres, with N = `free_count`; zeros for points."""
         return self.sizes[self.fixed_count :]
 
     def draw(self, rng: np.random.Generator) -> Deployment:
@@ -200,7 +206,7 @@ class Problem:
             size: factor on the edge lengths of the footprints.
 
         Returns:
-            the copy; None if there is no room for all footprints.
+            the copy; None if the footprints cannot be placed without overlap.
         """
         return self.scene.footprints.separated(replace(deployment, edges=self.edges), size, self.fixed_count)
 
@@ -232,24 +238,26 @@ class Problem:
     def values(self, deployment: Deployment) -> FloatArray:
         """The objective's value in [0, 1] at every position of the grid, `(P,)`.
 
-        With a crowd of S states, P counts each position S times: all positions in the first state, and so on.
+        With a crowd of S states (arrangements of people), the array has all positions in the first state, then all
+        positions in the second state, and so on.
         """
         return self._values(self.evaluator, deployment)
 
     @property
     def places(self) -> FloatArray:
-        """Positions of the grid, metres, `(P / S, 3)`; P counts each position once for each of S crowd states."""
+        """Positions of the grid, metres, `(P / S, 3)`, not repeated for the S crowd states (arrangements of people)."""
         return np.asarray(self.evaluator.positions[: len(self.relevance) // self.state_count])
 
     @property
     def state_count(self) -> int:
-        """Number of crowd states S; 1 without a crowd."""
+        """Number S of crowd states, the arrangements of people who hide landmarks; 1 without a crowd."""
         return 1 if self.scene.crowd is None else len(self.scene.crowd)
 
     def by_place(self, values: FloatArray) -> FloatArray:
-        """Mean over the S crowd states of `values` `(P,)`, at each position of the grid, `(P / S,)`.
+        """Mean of `values` `(P,)` over the S crowd states, at each position of the grid, `(P / S,)`.
 
-        Without a crowd, these are the values themselves.
+        `values` has all positions in the first state (arrangement of people), then in the second. Without a crowd, the
+        result equals `values`.
         """
         return np.asarray(values.reshape(self.state_count, -1).mean(axis=0))
 
@@ -264,7 +272,7 @@ class Problem:
         return np.asarray(returned(self.objective, "values", values, len(positions), len(evaluator.positions)))
 
     def metrics(self, deployment: Deployment) -> dict[str, float]:
-        """The objective's metrics on the grid, and the fitness, keyed by name."""
+        """The objective's metrics at the positions of the room's grid, and the fitness, keyed by name."""
         return self.figures(self.values(deployment), self.fitness_of(deployment))
 
     def figures(self, values: FloatArray, fitness: float) -> dict[str, float]:
@@ -297,7 +305,8 @@ class Problem:
         Some optimisers change the sample during a run, so that the deployment is not fitted to one sample.
 
         Args:
-            share: fraction of the sampling's number of positions in each cell of the grid; at least one is drawn there.
+            share: fraction of the usual number of positions in each cell of the grid, see `Sampling`; at least one
+                position is drawn in each cell.
             rng: random generator of the draw.
 
         Returns:
@@ -310,7 +319,7 @@ class Problem:
         return evaluator, np.tile(self.relevance[:cells], len(evaluator.positions) // cells)
 
     def _repeats(self, share: float) -> int:
-        """Number of random positions to draw in each cell of the grid: `share` of the usual number, at least one."""
+        """Number of random positions to draw in each cell of the grid: `share` of that in `Sampling`, at least one."""
         assert self.objective.sampling is not None, "there is a sampling"
         most = self.objective.sampling.positions
         return max(1, math.ceil(share * (max(most, self.state_count) if seeks_worst(self.evaluator) else most)))

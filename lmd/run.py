@@ -20,8 +20,8 @@ def optimise(
 
     Args:
         problem: problem whose fitness is maximised.
-        evaluations: maximum number of full evaluations; an evaluation after a move of one landmark counts as 1/K of a
-            full one.
+        evaluations: maximum number of full evaluations; an evaluation after a move of one of K landmarks counts as 1/K
+            of a full one.
         seconds: wall time after which no new evaluation starts. At least one of `evaluations` and `seconds` is needed.
         seed: random seed of the optimiser; the same seed gives the same result.
         optimiser: optimiser, `Annealing` by default. `seed` does not affect an optimiser that is given.

@@ -94,7 +94,7 @@ def settled(cfg: DictConfig) -> DictConfig:
 
 
 def editable(node: DictConfig) -> DictConfig:
-    """Copy of a node whose keys may be changed and extended."""
+    """Copy of a config node; in the copy, keys may be changed and added."""
     copied = deepcopy(node)
     for part in (copied, *(inner for inner in copied.values() if OmegaConf.is_config(inner))):
         part._set_flag(["readonly", "struct"], [False, False])

@@ -95,7 +95,7 @@ def contend(
         jobs: the runs to be compared.
         report: function that makes the report from the results of the finished runs.
         log: function that records a finished run as a child of the tracked run.
-        about: further fields of the returned `Study`: `about` or `problem`.
+        about: the field `about` or `problem` of the returned `Study`.
     """
     from lmd.core.checks import file_path
 
@@ -143,7 +143,7 @@ def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, Optimiser
 
 
 def _searched(job: Contender) -> dict[str, Any]:
-    """Do a run on one thread, and return its metrics and the contents of its files as a document for JSON."""
+    """Do a run on one thread; return a document for JSON with the run's name, its metrics and its files' contents."""
     from lmd.core.tables import write_table
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import Sample, headline_off_grid, validation_metrics

@@ -85,7 +85,9 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
 
 
 def take_sizes(node: DictConfig, tag: DictConfig) -> None:
-    """Set `tag.edges` to the edge lengths in the landmark files, if all landmarks have one and the user gives none.
+    """Set `tag.edges` to the distinct edge lengths in the landmark files, unless the user gives an edge length.
+
+    Nothing is set if `deployment.path` is not given, or if a landmark in the files has no edge length.
 
     Args:
         node: group `deployment`.

@@ -78,9 +78,9 @@ def instantiate(node: Any, **extra: Any) -> Any:
 
 
 def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
-    """Message that replaces Hydra's error about a node.
+    """Message that replaces Hydra's error about a config node.
 
-    The message states the fault, and lists the allowed arguments or the existing names.
+    The message states the fault. After an unknown argument, it also names a similar argument or all allowed ones.
 
     Args:
         error: Hydra's error.

@@ -126,7 +126,10 @@ class Ladder:
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
-    """Metrics of a deployment at the positions of the room's grid, and at random poses drawn with `seed`."""
+    """Metrics of a deployment at the room's grid positions and at random poses, and metrics of accuracy.
+
+    The random poses are drawn with `seed`. Accuracy is that with which single images localise the camera.
+    """
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import validation_metrics

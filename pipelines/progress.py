@@ -88,7 +88,7 @@ class Progress:
         self.saved = time.monotonic()
 
     def _curve(self, ledger: Ledger) -> list[tuple[int, float, float]]:
-        """Points of the curve of the best fitness, from the start of the run to the present."""
+        """Points (step, best fitness, seconds) of the run's curve from the start to the present, see `ledger.curve`."""
         spent = ledger.seconds if self.budget.evaluations is None else ledger.evaluations
         return curve(ledger.history, self.budget, spent + ROUNDING)
 
@@ -117,7 +117,10 @@ class Stages:
         self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: "SurveyStage", done: int = 0, most: int = 0) -> bool:
-        """Show the stage with `done` of `most` steps; return True if the survey is to stop."""
+        """Show that `done` of the `most` steps of a stage are done; return True if the survey is to stop.
+
+        `most` is 0 if the number of steps is unknown.
+        """
         if stop.requested and self.interrupted is None:
             self.interrupted = self._stage
         if self._bar is None or stage != self._stage:

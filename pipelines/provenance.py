@@ -119,7 +119,7 @@ def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
 def digest(*parts: Any) -> str:
     """Digest of any values, including the contents of files that the values name.
 
-    Equal digests therefore mean equal input.
+    Equal digests mean equal values and equal contents of the files.
     """
     text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -230,8 +230,8 @@ def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
     """Conduct the configured studies of a deployment, one after the other.
 
     Yields:
-        for each study: its name, its files, its metrics and its text. The name is empty if the metrics are those of the
-            deployment, which get no prefix.
+        name, files, metrics and text of a study. The name is the prefix of the metrics; it is empty if the metrics
+            describe the deployment itself.
     """
     from lmd.core.checks import InputError
 

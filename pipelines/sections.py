@@ -104,7 +104,7 @@ def _curves(source: Source, jobs: pd.DataFrame) -> list[str]:
 
 
 def _origin(source: Source, sweep: str, jobs: pd.DataFrame) -> str:
-    """Text that says from which runs the results of a sweep come.
+    """Text about the origin of a sweep's results: the number of runs, their command, budget and date.
 
     If `jobs` is empty, the text names the command that makes these runs.
     """

@@ -25,7 +25,7 @@ Own = Mapping[str, DictConfig]
 def observe(cfg: DictConfig, own: Own) -> Study:
     """Study of flights: a flying camera is localised by the landmarks of each deployment.
 
-    All deployments have equal flights.
+    The flights are equal for all deployments.
     """
     from lmd.estimation.study import Flights
 
@@ -139,8 +139,8 @@ def detect(cfg: DictConfig, own: Own) -> Study:
 def rendered(cfg: DictConfig, count: int) -> "Rendered":
     """Return the test of detectors on rendered images of the configured deployment, ready to be conducted.
 
-    For each of `count` random poses, it has the tags that the visibility model predicts to be seen, and it can render
-    the images that the detectors read.
+    The returned test has `count` random poses. For each pose, it holds the tags that the visibility model predicts to
+    be seen, and can render the image that the detectors read.
 
     Raises:
         InputError: the deployment, the tag or a detector cannot be used.
@@ -158,10 +158,10 @@ def rendered(cfg: DictConfig, count: int) -> "Rendered":
 
 
 def _frames(study: "DetectionStudy", count: int, seed: int) -> dict[str, Callable[[Path], object]]:
-    """Functions that draw pictures, by the name of the file.
+    """Functions that draw rendered images into files, keyed by file name.
 
-    Each function draws one frame with the detections of the first detector. There is a picture of each of the first
-    `count` frames of each deployment and camera.
+    Each function renders one image, and marks the tags that the first detector has found. There is a function for each
+    of the first `count` images of each deployment and camera.
     """
     import numpy as np
 

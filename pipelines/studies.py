@@ -128,7 +128,8 @@ def bound(cfg: DictConfig, own: Own) -> Study:
 def uncertainty(cfg: DictConfig, own: Own) -> Study:
     """Study of uncertainty: standard deviations of the camera's pose when it is estimated from one image.
 
-    The results are tables, formulas fitted to the standard deviations ("laws"), and Java code of these formulas.
+    The results are tables, formulas ("laws"), and Java code of these formulas. A formula gives a standard deviation as
+    a function of distance and number of tags, and is fitted to random images.
     """
     from lmd.evaluation.uncertainty import UncertaintyStudy
     from lmd.evaluation.uncertainty import uncertainty as find
@@ -189,7 +190,7 @@ def acceptance(cfg: DictConfig, own: Own) -> Study:
 
 
 def _hung(cfg: DictConfig, own: Own, study: str) -> "tuple[Problem, Deployment, FloatArray, FloatArray | None]":
-    """Problem and deployment of a study of a single deployment, and covariances of the mounting errors.
+    """Build the problem of a study of one deployment; return it with the K tags and their mounting covariances.
 
     Args:
         cfg: configuration of the command.
@@ -197,8 +198,9 @@ def _hung(cfg: DictConfig, own: Own, study: str) -> "tuple[Problem, Deployment, 
         study: name of the study, for error messages.
 
     Returns:
-        problem; deployment; covariance of the mounting error of each tag; covariance of all tags together if the
-            deployment is a surveyed map, else None.
+        problem; deployment; covariance of the mounting error of each tag, `(K, 6, 6)`; joint covariance of all tags,
+            `(6 K, 6 K)`, if the deployment is a surveyed map, else None. A tag has three coordinates of position
+            (metres), then three of rotation (rad).
 
     Raises:
         InputError: there are several deployments, or the problem has a crowd.

@@ -95,7 +95,7 @@ class Study:
 
 
 def conduct(cfg: DictConfig, study: Study) -> float | None:
-    """Conduct a study as a tracked run; return the metric `Study.returned` for Hydra's sweeper, or None.
+    """Conduct a study as a tracked run; return the metric `Study.returned` for Hydra's sweeper; None without it.
 
     Args:
         cfg: configuration of the run.
@@ -262,7 +262,7 @@ def dataset_of(cfg: DictConfig, problem: "Problem") -> tuple[str, str]:
 
 
 def derived(problem: "Problem") -> dict[str, Any]:
-    """Parameters of a run that follow from the problem and are not in the configuration: the numbers of landmarks."""
+    """Parameters of a run that follow from its problem: the number of landmarks, and the number for each tag size."""
     counts = problem.scene.tag.counts
     return {"deployment.count": problem.count, **({} if counts is None else {"tag.counts": list(counts)})}
 

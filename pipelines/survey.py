@@ -101,7 +101,7 @@ def _map_or_nothing(stages: "Stages") -> Iterator[None]:
 def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
     """Scene for the audit, which compares the found tags with the tags that a visibility model predicts to be seen.
 
-    If no room is given, the scene has a placeholder.
+    If no room is given, the scene has a placeholder for the room.
 
     Raises:
         InputError: the visibility model is for points, not for tags.

@@ -164,7 +164,10 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 
 def _place(found: Any, key: str, name: str) -> Any:
-    """Value in the configuration `found` to which `${name}` refers at the key `key`; None without such a value."""
+    """Value in the configuration `found` to which the interpolation `${name}` refers; None without such a value.
+
+    The text `${name}` stands at the key `key`. Leading dots of `name` are relative to this key.
+    """
     up = len(name) - len(name.lstrip("."))
     for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", name)]:
         entries = dict(enumerate(found)) if isinstance(found, list) else found if isinstance(found, Mapping) else {}

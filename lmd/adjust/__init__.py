@@ -1,4 +1,4 @@
-"""Bundle adjustment: poses that fit corners, for a survey and for localisation.
+"""Bundle adjustment: poses of tags and cameras from detected corners, for `lmd.survey` and `lmd.localise`.
 
 Modules from the ground up:
 
@@ -13,9 +13,9 @@ Modules from the ground up:
   their covariances.
 - `candidates` proposes poses from single sightings. `drive` estimates the noise of a motion model (its *spread*), and
   the smoothest sequence of poses.
-- `estimate` adjusts the poses without the outliers. The module computes covariances, in the world frame or relative to
-  the other tags (`gauge`), and accounts for errors that are correlated in time. `refinement` adds more unknowns:
-  intrinsics of cameras, shifts of corners, and shapes and sizes of tags.
+- `estimate` adjusts the poses without the outliers. Covariances account for errors that are correlated in time, and are
+  given in the world frame or relative to the other tags (`gauge`). `refinement` adds more unknowns: intrinsics of
+  cameras, shifts of corners, and shapes and sizes of tags.
 - `faults` finds tags that were moved, ids that two tags share, and wrong tag sizes.
 - `tables` formats results: table rows, metrics and lines of text.
 """

@@ -1,13 +1,15 @@
 """Bundle adjustment: the poses of tags, frames and cameras that minimise the robust reprojection error.
 
-A sighting (one tag detected in one image) has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2.
-Levenberg-Marquardt steps with iteratively reweighted least squares minimise a sum of losses. The losses are those of
-sightings (Student's loss, see `lmd.adjust.corners`), of priors, and of the motion between frames (`lmd.adjust.links`).
+A sighting (one tag detected in one image) has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2. Here sigma is
+the standard deviation of a corner's coordinate. Levenberg-Marquardt steps with iteratively reweighted least squares
+minimise a sum of losses. The losses are those of sightings (Student's loss, see `lmd.adjust.corners`), of priors, and
+of the motion between frames (`lmd.adjust.links`).
 
-The *kept* unknowns are those that remain when the frames are eliminated (`lmd.adjust.frames`): poses of tags, poses of
-cameras on the body (*mounts*) except the first, the bias of odometry, and nuisance parameters (intrinsics, shifts of
-corners, shapes of tags). Let H_ff, H_kk and H_kf be the blocks of the normal matrix, and g_f and g_k those of the right
-side, for frames (f) and kept unknowns (k). The step d_k of the kept unknowns solves
+The *kept* unknowns remain when the poses of the frames are eliminated (`lmd.adjust.frames`). Kept are the poses of
+tags, the poses of all cameras on the body but the first (*mounts*), the bias of odometry, and nuisance parameters.
+Nuisance parameters are intrinsics, shifts of corners and shapes of tags. Let H_ff, H_kk, H_kf and H_fk = H_kf^T be the
+blocks of the normal matrix, and g_f and g_k those of the right side, for frames (f) and kept unknowns (k). The step d_k
+of the kept unknowns solves
 
     (H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f.
 
@@ -85,8 +87,8 @@ class System(NamedTuple):
 
     def reached(self, kept: FloatArray) -> FloatArray:
         """Product H_fk x, `(F, 6, ...)`, by which the kept unknowns x enter the equations of the F frames. H_fk is the
-        block of the normal matrix with the rows of the frames and the columns of the kept unknowns. x is `kept`
-        `(kept, 6, ...)`.
+        block of the normal matrix with the rows of the frames and the columns of the kept unknowns. The argument
+        `kept` `(n, 6, ...)` is x, for n blocks of six unknowns.
         """
         return np.concatenate([part.reached(kept) for part in self.frames.parts])
 
@@ -94,16 +96,17 @@ class System(NamedTuple):
 class Adjustment:
     """Bundle adjustment of sightings; every sighting's tag and frame must have an initial pose.
 
-    The kept unknowns (all but the frames' poses) are in blocks of six: twists of tags, twists of mounts (poses of the
-    cameras on the body), the bias of odometry, nuisance parameters of each camera (intrinsics and shifts of corners),
-    and shapes of tags.
+    The kept unknowns (all but the frames' poses) are in blocks of six. The order of the blocks is: tags, mounts, bias
+    of odometry, nuisance parameters of each camera, shapes of tags. The unknowns of tags and mounts are twists of their
+    poses. Mounts are poses of cameras on the body, except the first camera's. The nuisance parameters of a camera are
+    its intrinsics and its shifts of corners.
 
     Args:
         sightings: the sightings.
         prior: prior of the unknowns.
         nuisances: True if nuisance parameters of cameras and shapes of tags are unknowns, see `Sightings`.
-        inflation: factor on the standard deviations of sightings relative to those of the priors; the weights of
-            sightings relative to each other do not change.
+        inflation: factor on the standard deviations of all sightings and of the shapes of tags; the other priors do
+            not change.
     """
 
     def __init__(self, sightings: Sightings, prior: Prior, nuisances: bool = False, inflation: float = 1.0) -> None:
@@ -152,9 +155,9 @@ class Adjustment:
         Args:
             poses: poses of tags, frames and mounts.
             floor: standard deviation of corners in addition to the detector's own, pixels.
-            damping: relative increase of the diagonals of the blocks (Levenberg-Marquardt).
-            weight: weight of every sighting, while priors and links of motion have the weight 1; None for robust
-                weights of all.
+            damping: relative increase of the diagonal of the normal matrix (Levenberg-Marquardt).
+            weight: weight of every sighting; priors and links of motion then have the weight 1. None for robust weights
+                of sightings, priors and links.
         """
         kept, is_robust = Kept(self.kept), weight is None
         parts = [self._part(some, poses, floor, damping, weight, kept) for some in self._chunks]
@@ -210,7 +213,7 @@ class Adjustment:
         Args:
             poses: poses before the step.
             floor: standard deviation of corners in addition to the detector's own, pixels.
-            damping: relative increase of the diagonals of the blocks.
+            damping: relative increase of the diagonal of the normal matrix.
         """
         system, kept = self.system(poses, floor, damping), np.zeros(6 * self.kept)
         rows, matrix = system.informed
@@ -221,13 +224,13 @@ class Adjustment:
     def joint_step(
         self, poses: Poses, floor: float, damping: float, off: FloatArray
     ) -> tuple[Poses, FloatArray, FloatArray]:
-        """Take one Levenberg-Marquardt step of all unknowns, including nuisance parameters. The unit of a nuisance
-        parameter is its prior standard deviation.
+        """Take one Levenberg-Marquardt step of all unknowns, including n blocks of six nuisance parameters. The unit
+        of a nuisance parameter is its prior standard deviation.
 
         Args:
             poses: poses before the step.
             floor: standard deviation of corners in addition to the detector's own, pixels.
-            damping: relative increase of the diagonals of the blocks (Levenberg-Marquardt).
+            damping: relative increase of the diagonal of the normal matrix (Levenberg-Marquardt).
             off: nuisance parameters before the step, minus their prior means, `(n, 6)`.
 
         Returns:
@@ -247,8 +250,8 @@ class Adjustment:
         Args:
             poses: all poses.
             floor: standard deviation of corners in addition to the detector's own, pixels.
-            sightings: the same detections, converted with other parameters of the cameras; None for the sightings of
-                the adjustment.
+            sightings: the adjustment's sightings, as converted with other parameters of the cameras. None for the
+                sightings as given to the class.
         """
         some = self.sightings if sightings is None else sightings
         return self._loss(squared_errors(some, poses), self._prior_loss(poses), floor)
@@ -292,16 +295,15 @@ class Adjustment:
         return Poses(*map(_orthonormal, (poses.tags, poses.frames, poses.mounts))), floor
 
     def fixed_system(self, poses: Poses, floor: float) -> System:
-        """Normal equations in which all sightings have an equal weight, as in ordinary least squares. With this weight,
-        the covariance equals that of the fit with robust weights, see `efficiency`.
+        """Normal equations in which all sightings have an equal weight, as in ordinary least squares. The weight is
+        chosen such that the covariance equals that of the fit with robust weights, see `efficiency`.
         """
         slope, spread = self.efficiency(poses, floor)
         return self.system(poses, floor, 0.0, slope**2 / spread)
 
     def efficiency(self, poses: Poses, floor: float) -> tuple[float, float]:
-        """Two numbers, slope and variance, that give the covariance of the fit with robust weights at `poses`. Least
-        squares in which all sightings have the weight slope^2 / variance have this covariance, see
-        `lmd.adjust.corners.efficiency`.
+        """Slope and variance of the weighted residuals at `poses`, see `lmd.adjust.corners.efficiency`. Least squares
+        in which all sightings have the weight slope^2 / variance have the covariance of the fit with robust weights.
         """
         self._update_share(poses, floor)
         return efficiency(squared_errors(self.sightings, poses) / self.sightings.variance(floor) / self.share)
@@ -310,9 +312,9 @@ class Adjustment:
         """Marginal covariance of the body-frame twist (X -> X exp(twist)) of each frame with sightings, `(F, 6, 6)`.
 
         With the covariance C of the kept unknowns, the frames have the covariance H_ff^-1 + H_ff^-1 H_fk C H_kf
-        H_ff^-1. H_ff and H_fk are the blocks of the normal matrix for frames (f) and kept unknowns (k). C includes the
-        factor `inflation`. H_ff^-1 includes it only if frames are linked: without links, errors in one frame are
-        independent of errors in other frames.
+        H_ff^-1. H_ff and H_fk are the blocks of the normal matrix for frames (f) and kept unknowns (k). The factor
+        `inflation` on the standard deviations of sightings enlarges C. The factor enlarges H_ff^-1 only if frames are
+        linked: without links, errors in one frame are independent of errors in other frames.
         """
         system = self.fixed_system(poses, floor)
         values, vectors = np.linalg.eigh(np.nan_to_num(system.covariance))
@@ -320,8 +322,8 @@ class Adjustment:
         return system.frames.covariances(system.reached(root), self.inflation**-2.0 if self.links is None else 1.0)
 
     def _update_share(self, poses: Poses, floor: float) -> None:
-        """Set `share`, the fraction of the sightings' squared errors that is expected to remain after the fit. The
-        fraction is constant, and not set, without links of motion and without a map as the prior (`Prior.joint`).
+        """Update `share`, the fraction of the sightings' squared errors that is expected to remain after the fit.
+        Without links of motion and without a map as the prior (`Prior.joint`), the fraction keeps its first value.
         """
         if self.links is not None or self.prior.joint is not None:
             here, there = (self.system(poses, floor, 0.0, weight).log_determinant for weight in (1.0, 1.0 + CHANGE))

@@ -95,8 +95,8 @@ class Candidates:
         each candidate's owner.
 
         Returns:
-            the sightings of the owners, repeated for each candidate; for each of these sightings, the index of its
-            candidate; function that computes the reprojection of these sightings from the candidate poses `(P, 4, 4)`.
+            sightings of the owners, those of one candidate after another; index of each sighting's candidate; function
+            that computes the sightings' reprojection from the candidate poses `(P, 4, 4)`.
         """
         pose = np.repeat(np.arange(len(owner)), self.counts[owner])
         pairs = self._order[self._begins[owner[pose]] + rank_within(pose)]

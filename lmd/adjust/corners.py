@@ -1,12 +1,13 @@
 """Reprojection errors of sightings: residuals, Jacobians, noise, robust weights, and Gauss-Newton steps.
 
 A sighting (one tag detected in one image) has 8 residuals e, pixels, see `lmd.adjust.sightings`. Errors are modelled by
-a multivariate Student distribution with nu degrees of freedom. With chi^2 = |e|^2 / sigma^2 of d residuals, the robust
-loss is (nu + d) / 2 log(1 + chi^2 / nu). The weight in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
+a multivariate Student distribution with nu degrees of freedom. Let sigma be the standard deviation of a corner's
+coordinate, and chi^2 = |e|^2 / sigma^2 for d residuals. The robust loss is (nu + d) / 2 log(1 + chi^2 / nu). The weight
+in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
 
-The variance of a corner's coordinate is the detector's variance plus the squared *floor*, which stands for errors of
-lens models and of the shapes of tags. The floor is estimated such that the weighted mean of chi^2 equals its expected
-value for normal errors.
+The variance sigma^2 is the detector's variance plus the squared *floor*, which stands for errors of lens models and of
+the shapes of tags. The floor is estimated such that the weighted mean of chi^2 equals its expected value for normal
+errors.
 
 Source: Lange et al., "Robust Statistical Modeling Using the t Distribution".
 """
@@ -94,7 +95,9 @@ class Reprojection:
 
     @cached_property
     def _by_seen(self) -> FloatArray:
-        """Derivatives of the residuals with respect to the corners' positions in the camera's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals with respect to the corners' positions in the camera's frame. The axes
+        `(N, 4, 2, 3)` are sighting, corner, residual and coordinate.
+        """
         some, depth = self._sightings, self._depth[..., None]
         error = self.error.reshape(-1, 4, 2, 1)
         slope = (some.tangents - error * some.directions[..., None, :]) / np.maximum(depth, NEAREST)
@@ -102,12 +105,16 @@ class Reprojection:
 
     @cached_property
     def _by_body(self) -> FloatArray:
-        """Derivatives of the residuals with respect to the corners' positions in the body's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals with respect to the corners' positions in the body's frame. The axes
+        `(N, 4, 2, 3)` are sighting, corner, residual and coordinate.
+        """
         return np.asarray(self._by_seen @ np.swapaxes(self._mounted, 1, 2)[:, None])
 
     @cached_property
     def _by_corner(self) -> FloatArray:
-        """Derivatives of the residuals with respect to the corners' positions in the tag's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals with respect to the corners' positions in the tag's frame. The axes
+        `(N, 4, 2, 3)` are sighting, corner, residual and coordinate.
+        """
         return np.asarray(self._by_body @ self._turn[:, None])
 
     @cached_property
@@ -127,7 +134,7 @@ class Reprojection:
 
     @cached_property
     def by_shape(self) -> FloatArray:
-        """Jacobian of the residuals with respect to the six deformations `Sightings.shapes` of the tag, `(N, 8, 6)`."""
+        """Jacobian of the residuals with respect to the tag's deformations along the six `SHAPES`, `(N, 8, 6)`."""
         return np.asarray(np.einsum("nqij,sqj->nqis", self._by_corner, SHAPES)).reshape(-1, RESIDUALS, 6)
 
     @cached_property
@@ -138,7 +145,7 @@ class Reprojection:
 
 def _by_twist(slope: FloatArray, points: FloatArray) -> FloatArray:
     """Jacobian of the residuals with respect to a twist of the frame in which points are given, `(N, 8, 6)`. `slope`
-    `(N, 4, 2, 3)` has the derivatives of the residuals with respect to the `points` `(N, 4, 3)`.
+    `(N, 4, 2, 3)` has the derivatives of each corner's two residuals with respect to its point in `points` `(N, 4, 3)`.
     """
     return np.concatenate([cross(slope, points[:, :, None]), -slope], axis=-1).reshape(-1, RESIDUALS, 6)
 
@@ -150,7 +157,8 @@ def squared_errors(sightings: Sightings, poses: Poses) -> FloatArray:
 
 def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
     """Mask of the sightings that agree with a rough pose, `(N,)`; False where the error is NaN. `error` `(N,)` has the
-    squared errors of the sightings, pixels^2.
+    squared errors of the sightings, pixels^2. A sighting agrees if the RMS error of its corners is below a limit, which
+    grows with the tag's size in the image.
     """
     return np.asarray(np.sqrt(error / 4.0) < AGREES * sightings.sizes + AGREES_PIXELS)
 
@@ -158,7 +166,7 @@ def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
 def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
     """Mask of the inliers among N sightings, `(N,)`; False where the error is NaN. `error` `(N,)` has the squared
     errors of the sightings, pixels^2. `floor`, pixels, is the standard deviation of corners in addition to the
-    detector's own.
+    detector's own. A sighting is an inlier if its chi^2, or the RMS error of its corners, is below a limit.
     """
     near = np.sqrt(error / 4.0) <= np.maximum(OUTLIER_PIXELS, OUTLIER_SHARE * sightings.sizes)
     return np.asarray((error / sightings.variance(floor) <= OUTLIER_CHI_SQUARE) | near)
@@ -187,7 +195,8 @@ def student_loss(square: FloatArray, residuals: int = RESIDUALS) -> float:
 
 def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
     """Find the floor, pixels, at which the weighted mean of chi^2 equals its expected value for normal errors. The
-    floor is the standard deviation of corners in addition to the detector's own.
+    floor is the standard deviation of corners in addition to the detector's own, and chi^2 is error / (noise^2 +
+    floor^2).
 
     Args:
         error: squared errors |e|^2 of sightings, divided by the fraction that is expected to remain after a fit,
@@ -206,11 +215,12 @@ def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
 
 
 def efficiency(square: FloatArray) -> tuple[float, float]:
-    """Two numbers, slope and variance, that give the covariance of a fit with robust weights (sandwich formula).
-    `square` `(N,)` has chi^2 of N sightings.
+    """Slope and variance of residuals with robust weights, which give the covariance of a fit (sandwich formula).
+    `square` `(N,)` has chi^2 of N sightings, each with 8 residuals.
 
-    With weights w(chi^2), the slope is the mean of w + 2 w' chi^2 / 8, and the variance is the mean of w^2 chi^2 / 8.
-    Least squares in which all sightings have the weight slope^2 / variance have the covariance of the robust fit.
+    With residuals e, in standard deviations, and weights w(chi^2), the slope is the mean derivative of w e with respect
+    to e: the mean of w + 2 w' chi^2 / 8. The variance is the mean square of w e: the mean of w^2 chi^2 / 8. Least
+    squares in which all sightings have the weight slope^2 / variance have the covariance of the robust fit.
     """
     weight = student_weight(square)
     slope = (weight - 2.0 / RESIDUALS * square * weight / (DEGREES_OF_FREEDOM + square)).mean()

@@ -1,16 +1,17 @@
 """Motion of a body, estimated from a drive: noise of the motion model, and smoothest sequence of poses.
 
-A motion model predicts the relative pose of linked frames. The noise of the model is described by the *spread* s, a
-factor on the model's standard deviations. The spread is estimated by maximum evidence. With theta = log s^2,
+A motion model predicts the relative poses of successive frames, which are then *linked*. The noise of the model is
+described by the *spread* s, a factor on the model's standard deviations. The spread is estimated by maximum evidence.
+With theta = log s^2,
 
     d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0.
 
 Here chi^2 is that of the links' errors, Q is the covariance of these errors, and H is the normal matrix of all
-unknowns. The prior of s has the weight of `ASSUMED_LINKS` links.
+unknowns. The prior of s counts like `ASSUMED_LINKS` more links.
 
 Errors of the constant-velocity model across gaps between frames are measured where the drive has no gaps. Two frames
-are taken that are as far apart as the gap is long. The velocities before the first and after the second predict their
-relative pose. The error is the difference between this prediction and the estimated relative pose.
+are taken that are as far apart as the gap is long. The velocities before the first and after the second frame predict
+the relative pose of the two. The error is the difference between this prediction and the estimated relative pose.
 
 A frame that shows one tag has two poses with similar images. The pose that makes the sequence of poses smoothest is
 taken (Viterbi).
@@ -153,8 +154,8 @@ def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
     clock = clock + motion.piece * (np.nanmax(clock) + 10.0 * LONGEST_GAP)
 
     def nearest(seconds: FloatArray) -> IntArray:
-        """For each of the times `seconds`, index of the frame with the nearest time. Times are those of `clock`, in
-        which pieces of the drive lie far apart.
+        """For each of the times `seconds`, index of the frame with the nearest time. Times are those of `clock`:
+        seconds, with a long pause added after each piece of the drive.
         """
         after = np.clip(np.searchsorted(clock, seconds), 1, len(clock) - 1)
         return np.asarray(after - (seconds - clock[after - 1] < clock[after] - seconds))
@@ -215,7 +216,7 @@ class Nodes:
 
 
 def smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Copy of `poses` with poses of nodes instead of poses of frames. A node is a pair of a frame and a part (a group
+    """Copy of `poses` in which poses of nodes replace those of frames. A node is a pair of a frame and a part (a group
     of tags); its pose is in the world frame of the part.
 
     A node keeps its rough pose if several of its sightings agree with that pose. Otherwise the sighting that is largest

@@ -6,8 +6,8 @@ divided into blocks of time with equal numbers of sightings. Block b adds S_b to
 the right side; at the solution the sum of all g_b is 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error
 of the map. The covariance of the map is the sum of x_b x_b' over all blocks, and equals C if errors are uncorrelated.
 
-With the inverse in place of the inverse root, this would be the jackknife, which leaves out one block at a time. The
-jackknife overestimates the effect of a block that alone determines a part of the map.
+With the inverse in place of the inverse root, the method would be the jackknife. The jackknife leaves out one block at
+a time, and overestimates the effect of a block that alone determines a part of the map.
 
 Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples" (CR2).
 """
@@ -93,12 +93,12 @@ class Estimate:
     """Offset of the odometry's clock; None without odometry."""
 
     def adjusted(self, most: float = FLOOR_PIXELS) -> "Estimate":
-        """Estimate in which the poses of the map are adjusted without the outliers. The map consists of the tags of
-        group 0 (see `group`) and the frames that show them.
+        """Estimate after a bundle adjustment of the map: first with all sightings, then without the outliers. The map
+        consists of the tags whose `group` is 0, and of the frames that show these tags.
 
         Args:
-            most: upper limit, pixels, of the floor, the standard deviation of corners in addition to the detector's
-                own.
+            most: upper limit of the floor, pixels. The floor is the standard deviation of corners in addition to the
+                detector's own.
 
         Raises:
             InputError: no two sightings agree on a pose of the camera.
@@ -137,8 +137,8 @@ class Estimate:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Covariance of all unknowns but the frames' poses; `Adjustment` gives their order. The error of a pose is a
-        twist in the coordinate frame of the tag or camera itself.
+        """Joint covariance of the unknowns of `adjustment`, without the poses of the frames. Rows and columns are in
+        the order that `Adjustment` states, tags first. A pose X has six rows: its error is a twist, X -> X exp(twist).
         """
         with threadpool_limits(limits=ONE_THREAD):
             return self.adjustment.fixed_system(self.poses, self.floor).covariance
@@ -150,8 +150,8 @@ class Estimate:
         return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
 
     def _blocks(self, first: int, last: int, size: int = 6) -> FloatArray:
-        """Square blocks on the diagonal of `covariance`, `(n, size, size)`. The result covers the blocks of six
-        unknowns from the index `first` to the index `last` (excluded).
+        """Square blocks on the diagonal of `covariance`, `(n, size, size)`. The blocks cover the rows and columns from
+        6 `first` to 6 `last` (excluded).
         """
         return diagonal_blocks(self.covariance[6 * first : 6 * last, 6 * first : 6 * last], size)
 
@@ -172,8 +172,8 @@ class Estimate:
 
     @cached_property
     def gauge_free_covariance(self) -> FloatArray:
-        """Covariance of the twists of the n `known` tags relative to each other, `(6 n, 6 n)`. A common motion of all
-        tags is removed, see `gauge_free`.
+        """Covariance of the twists of n tags relative to each other, `(6 n, 6 n)`: the tags of the map that have a
+        covariance (`known`). A common motion of all tags is removed, see `gauge_free`.
         """
         rows = rows_of(np.flatnonzero(self.known))
         left = gauge_free(self.poses.tags[self.known])
@@ -182,7 +182,7 @@ class Estimate:
     @cached_property
     def gauge_free_covariances(self) -> FloatArray:
         """Covariance of the twist of each tag relative to the other tags, `(K, 6, 6)`. A common motion of all tags is
-        removed, see `gauge_free`. NaN for tags that are not `known`.
+        removed, see `gauge_free`. NaN for tags that are not in the mask `known`.
         """
         known, found = self.known, np.full((len(self.group), 6, 6), np.nan)
         found[known] = diagonal_blocks(self.gauge_free_covariance)
@@ -237,10 +237,10 @@ class Estimate:
 
 
 def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArray:
-    """Mask of those `used` sightings that constrain the map, `(N,)`.
+    """Mask of those sightings in the mask `used` `(N,)` that constrain the map, `(N,)`.
 
     A sighting that is alone in its frame constrains the map only if motion links the frame to another frame. With a
-    known map (`Prior.joint`) all `used` sightings count, because a single sighting then determines the pose of its
+    known map (`Prior.joint`) all sightings in `used` count, because a single sighting then determines the pose of its
     frame.
     """
     if prior.joint is not None:
@@ -254,13 +254,14 @@ def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArr
 
 def inflation(found: Estimate) -> float:
     """Factor, at least 1, by which errors that are correlated in time enlarge the standard deviations of the tags'
-    positions. The factor is the geometric mean of the factors of single tags, which are computed from blocks of time.
+    positions. The factor is the geometric mean of the factors of single tags, which follow from the errors of blocks of
+    successive frames (blocks of time).
 
     With too few frames for blocks, the factor is 1. If motion links frames, only frames with two or more tags are used.
     Such frames may connect the map only in parts; the largest part is then used.
 
     Args:
-        found: estimate with an inflation of 1.
+        found: estimate whose attribute `inflation` is 1.
     """
     if found.prior.motion is not None:
         found = _without_links(found)
@@ -276,7 +277,9 @@ def inflation(found: Estimate) -> float:
 
 
 def _blocks_of_time(found: Estimate) -> list[IntArray]:
-    """Indices of the frames in each block of time, ascending."""
+    """Divide the frames of the map into blocks of successive frames, with about equal numbers of inliers. Each array
+    has the ascending indices of the frames in one block.
+    """
     counts = np.bincount(found.sightings.frame[found.used], minlength=found.sightings.frames)[found.frames]
     middle = np.cumsum(counts) - counts / 2.0
     blocks = int(np.clip(len(counts) // FEWEST_IN_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS))
@@ -306,13 +309,13 @@ def _without_links(found: Estimate) -> Estimate:
 
 
 def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> FloatArray:
-    """Contribution of one block of time to the error of each tag's position relative to the other tags, metres,
+    """Contribution of a block of frames to the error of each tag's position relative to the other tags, metres,
     `(n, 3)`. The contribution is x_b in the formulas of this module, for the n tags with a covariance.
 
     Args:
         found: estimate.
         frames: indices of the frames in the block.
-        slope, spread: results of `Adjustment.efficiency` for all sightings.
+        slope, spread: slope and variance that `Adjustment.efficiency` returns for all sightings.
     """
     used = found.sightings.of(found.used)
     some = used.of(np.isin(used.frame, frames))

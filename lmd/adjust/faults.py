@@ -103,18 +103,18 @@ def _change(first: IntArray, second: IntArray) -> int | None:
 def with_best_edges(
     seen: Observations, begun: Callable[[Observations], tuple[Begun, int]], plan: FloatArray | None = None
 ) -> tuple[Begun, BoolArray]:
-    """Call `begun` with stated and with estimated edge lengths, and return the better result. The lengths are estimated
-    by `odd_sizes`; if none differs, `begun` is only called with the stated lengths.
+    """Call `begun` with the stated edge lengths of tags and, if `odd_sizes` finds wrong ones, also with estimated
+    lengths. Return the better of the two results.
 
     Args:
         seen: detections.
-        begun: function of detections that returns a result and the number of sightings that agree with it.
+        begun: function that is called with detections and edge lengths (`Observations`). The function returns a result,
+            such as rough poses, and the number of sightings that agree with it.
         plan: `(K, 3)` positions of the tags in a map, metres, NaN if unknown; None without a map.
 
     Returns:
-        the result with the estimated lengths if clearly more sightings agree with it, else the result with the stated
-        lengths; mask of the tags whose size must be estimated from all frames, see `odd_sizes`, `(K,)`. The mask is all
-        False with the stated lengths.
+        result with the estimated lengths if clearly more sightings agree with it, else with the stated lengths; mask of
+        the tags whose size must be estimated from all frames, `(K,)`. With the stated lengths the mask is all False.
     """
     (found, agreed), (factors, odd) = begun(seen), odd_sizes(seen.through().with_separate_cameras(), plan)
     if odd.any():
@@ -231,9 +231,9 @@ def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> t
     Args:
         found: estimate with the stated sizes.
         odd: mask of the tags whose stated size is wrong or in doubt, `(K,)`.
-        others: prior standard deviation of the growth (change of size) of the other tags, metres. NaN for the standard
-            deviation of their other deformations, see `Sightings.size_sigmas`.
-        tried: True to test the stated sizes of all other tags first.
+        others: prior standard deviation of the growth (change of size) of the other tags, metres. If NaN, growth has
+            the prior standard deviation of other deformations, see `Sightings.size_sigmas`.
+        tried: True to search the other tags for wrong sizes first.
 
     Returns:
         the estimate; mask of the tags in `odd` and of the tags whose size proved to be wrong, `(K,)`.

@@ -2,8 +2,8 @@
 
 A sighting connects one frame with tags, cameras and other *kept* unknowns (see `lmd.adjust.adjustment`). So the frames'
 block H_ff of the normal matrix is block diagonal, or block tridiagonal if motion links each frame with the next one
-(`lmd.adjust.motion`). With links, its Cholesky factor is a band matrix. Time and memory are linear in the number of
-frames.
+(`lmd.adjust.motion`). With links, the Cholesky factor of H_ff is a band matrix. Time and memory are linear in the
+number of frames.
 
 Source: Triggs et al., "Bundle Adjustment - A Modern Synthesis"; Barfoot, "State Estimation for Robotics".
 """
@@ -22,7 +22,7 @@ COLUMNS = 512  # number of columns of the kept unknowns that are processed toget
 
 class Part(NamedTuple):
     """Normal equations of f successive frames: the frames' own blocks, and the blocks that couple frames and kept
-    unknowns. The kept unknowns are all but the frames' poses.
+    unknowns. The kept unknowns are all but the frames' poses, in blocks of six.
     """
 
     block: FloatArray
@@ -36,8 +36,8 @@ class Part(NamedTuple):
 
     def reached(self, kept: FloatArray) -> FloatArray:
         """Product H_fk x, `(f, 6, ...)`, by which the kept unknowns x enter the equations of these f frames. H_fk is
-        the block of the normal matrix with the rows of these frames and the columns of the kept unknowns. x is `kept`
-        `(kept, 6, ...)`.
+        the block of the normal matrix with the rows of these frames and the columns of the kept unknowns. The argument
+        `kept` `(n, 6, ...)` is x, for n blocks of six unknowns.
         """
         some = kept[self.rows]
         wide = self.panel.reshape(-1, 6 * len(self.rows)) @ some.reshape(6 * len(self.rows), -1)
@@ -55,8 +55,8 @@ class SeparateFrames:
 
     def eliminate(self, matrix: FloatArray, right: FloatArray) -> None:
         """Eliminate the frames (f) from the normal equations of the kept unknowns (k), in place. H_kf H_ff^-1 H_fk is
-        subtracted from `matrix` `(6 kept, 6 kept)`, and H_kf H_ff^-1 g_f from `right` `(kept, 6)`. H is the normal
-        matrix, and g its right side.
+        subtracted from `matrix` `(6 n, 6 n)`, and H_kf H_ff^-1 g_f from `right` `(n, 6)`, for n blocks of six kept
+        unknowns. H is the normal matrix, and g the right side of the equations.
         """
         ends = np.cumsum([len(part.block) for part in self.parts])
         for part, block in zip(self.parts, np.split(self.block, ends[:-1]), strict=True):
@@ -76,8 +76,8 @@ class SeparateFrames:
 
     def covariances(self, reach: FloatArray, share: float) -> FloatArray:
         """Covariances of the frames, `(F, 6, 6)`: the diagonal blocks of s H_ff^-1 + H_ff^-1 R R^T H_ff^-1. H_ff is the
-        frames' normal matrix, and s is `share`. R is `reach` `(F, 6, m)`, where R R^T = H_fk C H_kf for the covariance
-        C of the kept unknowns.
+        frames' normal matrix, and s is the factor `share` on the frames' own covariance H_ff^-1. R is `reach`
+        `(F, 6, m)`, where R R^T = H_fk C H_kf for the covariance C of the kept unknowns.
         """
         moved = np.linalg.solve(self.block, reach)
         return np.asarray(share * np.linalg.inv(self.block) + moved @ np.swapaxes(moved, 1, 2))
@@ -192,8 +192,8 @@ class LinkedFrames:
     def _inverse_blocks(self) -> FloatArray:
         """Diagonal blocks of H_ff^-1, `(F, size, size)`; `size` is the number of unknowns of a frame.
 
-        Let L_k be the diagonal block of the Cholesky factor in column k, and M_k the block below it. Then block k of
-        the inverse is Z_k = L_k^-T (I + M_k^T Z_k+1 M_k) L_k^-1.
+        Let L_k be diagonal block k of the Cholesky factor of H_ff, and M_k the block below L_k. Diagonal block k of
+        H_ff^-1 is Z_k = L_k^-T (I + M_k^T Z_k+1 M_k) L_k^-1, which follows from block k + 1.
         """
         size = self.right.shape[1]
         rows = np.arange(size)

@@ -156,8 +156,8 @@ def _bundle(camera: Camera) -> FloatArray:
 
 
 def parameter_slopes(camera: Camera, directions: FloatArray) -> FloatArray:
-    """Derivatives of the image points of rays with respect to the P intrinsics, pixels per unit, `(..., 2, P)`.
-    `directions` `(..., 3)` are the rays in the camera's frame.
+    """Derivatives of the image points of rays with respect to the P intrinsics, `(..., 2, P)`, pixels per unit of
+    each intrinsic. `directions` `(..., 3)` are the rays in the camera's frame.
     """
     image = directions[..., :2] / directions[..., 2:] if camera.lens is None else camera.lens.project(directions)
     columns = [image * axis for axis in np.eye(2)] + [np.broadcast_to(axis, image.shape) for axis in np.eye(2)]

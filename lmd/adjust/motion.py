@@ -3,18 +3,19 @@
 Both models constrain the relative pose of consecutive frames, with a covariance that grows with the gap between the
 frames. A frame that shows a single tag thus places the tag relative to the tags in earlier and later frames.
 
-- *Odometry* O is a trajectory in a frame of its own; its relative poses drift. With the poses T of the body, the error
-  of frame j relative to frame i is r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step of odometry adds an independent
-  error, whose covariance Q is proportional to the step's length. Let Ad_O be the adjoint matrix of the pose O, and C_i
-  the sum of Ad_O Q Ad_O^T over all steps before frame i. Then the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T.
-  Odometry also has a bias b per metre, a twist that models errors of scale and heading; it is an unknown of the drive.
-  Let B_i be the sum, over all steps before frame i, of Ad_O times the step's length. Then the bias adds Ad_O_j^-1 (B_j
-  - B_i) b to r.
+- *Odometry* O is a trajectory in coordinates of its own; its relative poses drift. With the poses T of the body, the
+  error of frame j relative to frame i is r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step of odometry adds an
+  independent error, whose covariance Q is proportional to the step's length. Let Ad_O be the adjoint matrix of the pose
+  O, and C_i the sum of Ad_O Q Ad_O^T over all steps before frame i. Then the covariance of r is Ad_O_j^-1 (C_j - C_i)
+  Ad_O_j^-T. Odometry also has a bias b per metre, a twist that models errors of scale and heading; it is an unknown of
+  the drive. Let B_i be the sum, over all steps before frame i, of Ad_O times the step's length. Then the bias adds
+  Ad_O_j^-1 (B_j - B_i) b to r.
 - *Constant velocity*: the velocity u in the world and the turn rate w of the body change by white noise, and are
   unknowns of each frame. Let R be the rotation and p the position of the body, and phi = log(R_i^T R_j). A link over
-  the time dt has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i. The covariance of these errors is
-  s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The model has the velocity in the world, as a camera carried straight ahead
-  may turn on the way.
+  the time dt has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i. Along each axis, the errors
+  of pose and rate have the covariance s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. Here s is the spread (noise level) of
+  rotation for phi and w, and of translation for p and u. The velocity is in the world frame, as a camera carried
+  straight ahead may turn on the way.
 
 Real bodies are not driven by white noise, so the errors across long gaps do not follow from the errors of short links.
 These errors are measured in pieces of the drive without gaps, see `lmd.adjust.drive`.
@@ -142,7 +143,7 @@ class Motion:
 
         def at_frames(added: FloatArray) -> FloatArray:
             """Sum of the matrices of all odometry steps before each frame, `(F, 6, 6)`. `added` `(T - 1, 6, 6)` has one
-            matrix for each step.
+            matrix for each step. A step that a frame divides counts in part.
             """
             sums = np.concatenate([0.0 * added[:1], np.cumsum(added, axis=0)])
             return np.asarray(sums[place] + share[:, None, None] * added[place])
@@ -178,8 +179,8 @@ class Motion:
         return np.where(self.relates(frames, frames)[:, None, None], result.transpose(2, 1, 0), 0.0)
 
     def of(self, frames: IntArray, part: IntArray) -> "Motion":
-        """Motion of the n frames with the indices `frames` `(n,)`. Frames are linked only if they have equal numbers in
-        `part` `(n,)`.
+        """Motion of the n frames with the indices `frames` `(n,)`. Frames with different numbers in `part` `(n,)` are
+        not linked.
         """
         piece = part if self.piece is None else part * (self.piece.max() + 1) + self.piece[frames]
         path, drift, bias = (None if own is None else own[frames] for own in (self.path, self.drift, self.bias_sums))
@@ -255,7 +256,7 @@ class Motion:
         return np.asarray(np.linalg.inv((covariance + np.swapaxes(covariance, 1, 2)) / 2.0))
 
     def steps(self, i: IntArray, j: IntArray, velocities: FloatArray | None = None) -> FloatArray:
-        """Poses of frames j relative to frames i, `(M, 4, 4)`; NaN if unknown.
+        """Poses of frames `j` relative to frames `i` that the motion model predicts, `(M, 4, 4)`; NaN if unknown.
 
         Args:
             i, j: indices of frames, `(M,)`.

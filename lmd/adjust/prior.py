@@ -42,7 +42,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Sheets:
-    """Tags that were printed on a sheet with other tags: M of the K tags of a survey."""
+    """Printed sheets with several tags each. A survey has K tags, of which M are on sheets."""
 
     tag: IntArray
     """`(M,)` index of each of these tags among the K tags of the survey."""
@@ -54,8 +54,8 @@ class Sheets:
     """`(6,)` inverse variances of the components of d_k."""
 
     def of(self, placed: BoolArray) -> "Sheets | None":
-        """Sheets with at least two placed tags, without their other tags; None if there is no such sheet. `placed`
-        `(K,)` is the mask of the placed tags.
+        """Sheets that have at least two tags in the mask `placed` `(K,)`. Tags outside the mask are removed from the
+        sheets. None if there is no such sheet.
         """
         own = placed[self.tag]
         own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
@@ -80,7 +80,7 @@ class Sheets:
         best.
 
         Returns:
-            twists d_k from the pose that the fitted sheet gives a tag to the tag's pose in `tags`, `(M, 6)`; chi^2 of
+            twist d_k of each tag, `(M, 6)`, from its expected pose on the fitted sheet to its pose in `tags`; chi^2 of
             each twist, `(M,)`.
         """
 
@@ -147,7 +147,7 @@ class Hanging(Checked):
 
 @dataclass(frozen=True)
 class Mounts:
-    """Poses of C cameras on the body, which is the first camera."""
+    """Prior of the poses of C cameras on the body (mounts). The body's frame is that of the first camera."""
 
     poses: FloatArray
     """`(C, 4, 4)` expected poses, camera to body."""

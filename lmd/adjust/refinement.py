@@ -45,7 +45,7 @@ MOST_HALVINGS = 6  # maximum number of halvings of a step that leads to invalid 
 
 
 def _never(_done: int, _most: int) -> bool:
-    """Return False after each round, so that the refinement is never stopped."""
+    """Return False before each round, so that the refinement is never stopped."""
     return False
 
 
@@ -92,12 +92,14 @@ def nuisances_off(found: Estimate) -> FloatArray:
 
 
 def minimised(found: Estimate, is_stopped: Callable[[int, int], bool] = _never) -> Estimate:
-    """Estimate after joint Levenberg-Marquardt steps of all unknowns, nuisance parameters included. The steps end when
-    one is small compared with the standard deviations.
+    """Estimate with the poses and nuisance parameters that minimise the loss, found in rounds. A round first improves
+    the poses, then takes one joint Levenberg-Marquardt step of all unknowns. The rounds end when the changes of the
+    nuisance parameters in a round are small.
 
     Args:
         found: estimate with nuisance parameters of the cameras as unknowns.
-        is_stopped: function of the number of finished rounds and the maximum number of rounds; it returns True to stop.
+        is_stopped: function that is called before each round, with the number of finished rounds and the maximum number
+            of rounds; it returns True to stop.
     """
     now, damping, cameras = found, 0.0, _lenses_of(found).off.size // 6
     for done in range(MOST_ROUNDS):
@@ -128,17 +130,18 @@ def minimised(found: Estimate, is_stopped: Callable[[int, int], bool] = _never) 
 def _stepped(
     found: Estimate, joint: Adjustment, used: BoolArray, damping: float
 ) -> tuple[Estimate, FloatArray, FloatArray, float] | None:
-    """Take one joint step of all unknowns; damping grows until the loss does not increase.
+    """Change poses and nuisance parameters together by one Levenberg-Marquardt step. The damping is raised until the
+    loss does not increase.
 
     Args:
         found: estimate before the step.
         joint: bundle adjustment of the inliers, with nuisance parameters as unknowns.
         used: mask of the inliers, `(N,)`.
-        damping: first relative increase of the diagonals of the normal equations' blocks.
+        damping: relative increase of the diagonal of the normal matrix that is tried first.
 
     Returns:
-        estimate after the step; step and variances of the nuisance parameters, `(n, 6)` each; damping for the next
-        step. None if the loss increases with every damping that is tried.
+        estimate after the step; changes of the nuisance parameters, and their variances, `(n, 6)` each; damping to try
+        first in the next call. None if the loss increases with every damping that is tried.
     """
 
     def loss(one: Estimate, some: Sightings | None = None) -> float:
@@ -211,13 +214,13 @@ def refine(
     keep: bool = False,
     is_stopped: Callable[[int, int], bool] = _never,
 ) -> Estimate:
-    """Estimate poses and nuisance parameters together.
+    """Estimate poses and nuisance parameters (intrinsics, shifts of corners, shapes of tags) together.
 
     Args:
         found: estimate with nuisance parameters as unknowns, as `with_lenses` returns.
         keep: True to keep cameras and shapes as they are; their uncertainty still enters the covariance.
-        is_stopped: function that is called before each round, with the number of the round and the maximum number of
-            rounds; it returns True to stop with the present estimate.
+        is_stopped: function that is called before each round of adjustment, with the number of finished rounds and the
+            maximum number of rounds; it returns True to stop with the present estimate.
     """
     for _ in range(PASSES):
         found = found if keep else minimised(found, is_stopped)
@@ -229,15 +232,15 @@ def refine(
 
 
 def _more_unknowns(found: Estimate, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Normal equations of k <= 6 more unknowns that all images share; all other unknowns are eliminated.
+    """Normal equations of k <= 6 additional unknowns that are common to all images; other unknowns are eliminated.
 
-    The images of each camera give one estimate of these unknowns. The estimates are averaged with the inverse of their
-    joint covariance.
+    The images of each camera give one estimate of the additional unknowns. The estimates from all cameras are averaged
+    with the inverse of their joint covariance.
 
     Args:
         found: estimate with poses.
-        slopes: derivatives of the inliers' residuals with respect to these unknowns, whose units are their prior
-            standard deviations, `(n, 8, k)`.
+        slopes: derivatives of the inliers' residuals with respect to the additional unknowns, `(n, 8, k)`. The unit of
+            an unknown is its prior standard deviation.
 
     Returns:
         matrix `(k, k)` and right side `(k,)` of the normal equations.

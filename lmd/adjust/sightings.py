@@ -5,8 +5,9 @@ projection, pixels, with respect to a displacement of b in the tangent plane of 
 camera's frame has the residual e = J p / (b . p), pixels. The residual equals the reprojection error up to terms of
 second order in e. The inverse of the lens model is needed only once, for b.
 
-Paper bends and printers change lengths, so the corners of a printed tag do not lie on an exact flat square. In addition
-to rigid motions, a tag has five modes of deformation and a change of scale, its *growth*. `SHAPES` has these six.
+Paper bends and printers change lengths, so the corners of a printed tag do not lie on an exact flat square. The four
+corners have 12 coordinates. A rigid motion has six degrees of freedom, and a change of size, the tag's *growth*, has
+one. The other five are the *modes* of deformation. `SHAPES` has six displacements of the corners: five modes, growth.
 """
 
 from collections.abc import Sequence
@@ -38,7 +39,9 @@ SMALL_PITCH = 2.0  # pixels per module at which the shift of small tags counts i
 
 
 def _shapes() -> FloatArray:
-    """Orthonormal modes of deformation, each a displacement of the four corners, `(6, 4, 3)`, see `SHAPES`."""
+    """Displacements of a tag's four corners by six shapes, `(6, 4, 3)`: five modes of deformation, and growth (change
+    of size). As vectors of 12 numbers, the six displacements are orthonormal.
+    """
     rigid = [np.broadcast_to(axis, (4, 3)) for axis in np.eye(3)] + [np.cross(axis, SQUARE) for axis in np.eye(3)]
     basis, *_ = np.linalg.svd(np.stack([other.ravel() for other in (*rigid, SQUARE)], axis=1))
     return np.asarray(np.vstack([basis[:, 7:].T, SQUARE.ravel() / np.linalg.norm(SQUARE)]).reshape(6, 4, 3))
@@ -121,14 +124,16 @@ class Sightings:
 
     @property
     def shape_sigmas(self) -> FloatArray:
-        """Prior standard deviations of the six modes `SHAPES` of each tag, metres, `(K, 6)`."""
+        """Prior standard deviations of each tag's deformations along `SHAPES`, metres, `(K, 6)`: five modes that deform
+        the square, and growth (change of size).
+        """
         sigmas = np.full((len(self.ids), 6), self.shape_sigma)
         sigmas[:, MODES] = np.where(np.isnan(self.size_sigmas), self.shape_sigma, self.size_sigmas)
         return sigmas
 
     @property
     def present_edges(self) -> FloatArray:
-        """Edge length of each tag including its estimated growth, metres, `(K,)`."""
+        """Edge length of each tag including the estimated change of size (growth), metres, `(K,)`."""
         return np.asarray(self.edges + 2.0 * self.shapes[:, MODES] / np.linalg.norm(SQUARE))
 
     def variance(self, floor: float) -> FloatArray:
@@ -143,8 +148,9 @@ class Sightings:
 
 
 def shift_basis(pitch: FloatArray) -> FloatArray:
-    """Factors 1 and (2 / pitch)^2 of s_1 and s_2 in the shift of edges by blur, s_1 + s_2 (2 / pitch)^2, `(N, 2)`.
-    `pitch` `(N,)` has the pixels per module of each tag in its image. See `lmd.adjust.refinement`.
+    """Factors 1 and (2 / pitch)^2, `(N, 2)`, of a camera's parameters s_1 and s_2. Blur shifts the edges of a tag by
+    s_1 + s_2 (2 / pitch)^2 pixels. `pitch` `(N,)` has the pixels per module of each tag in its image. See
+    `lmd.adjust.refinement`.
     """
     return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
 

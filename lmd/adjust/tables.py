@@ -71,7 +71,7 @@ def figures_of(found: Estimate) -> dict[str, float]:
 
 
 def clock_figures(found: Estimate) -> dict[str, float]:
-    """Offset of the clocks and its standard deviation, seconds, see `Clock`; empty without odometry."""
+    """Offset of the odometry's clock and its standard deviation, seconds, keyed by name; empty without odometry."""
     return {f"clock_{name}": getattr(found.clock, name) for name in ("offset", "sigma")} if found.clock else {}
 
 
@@ -118,15 +118,15 @@ def lines_of(
 
 
 def files_of_model(found: Estimate, detected: DetectedTags, cameras: Sequence[Camera]) -> tuple[dict[str, Any], str]:
-    """Files with a model (images, poses and points) for other programs, and a note on the files that are left out.
+    """Contents of model files for other programs, keyed by file name, and a note on the files that are left out.
 
-    The model has the images of an estimate; its points are the corners of the tags. See
+    The model has the images of an estimate and their poses; its points are the corners of the tags. See
     `lmd.formats.reconstructions.model_files`.
 
     Args:
         found: the estimate.
         detected: the detections.
-        cameras: cameras of the model if the estimate did not refine them.
+        cameras: given cameras; the model has these if the estimate did not refine them.
     """
     through, poses, some = [one.found for one in found.calibrated] or cameras, found.poses, found.sightings
     frame, camera = np.nonzero(detected.images & poses.known_frames[:, None])

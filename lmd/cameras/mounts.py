@@ -68,7 +68,7 @@ class MountSpace(Checked):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the G genes of one camera: `along` and `up` for its place, `yaw`, `pitch`, `roll` and `lens`.
+        """Names of the G genes of one camera: `along`, `up` (place on the body), `yaw`, `pitch`, `roll` and `lens`.
 
         Of `pitch`, `roll` and `lens` (the kind of the camera), those with only one possible value are left out.
         """

@@ -46,7 +46,7 @@ class CameraViews:
         self._kept: OrderedDict[Mount, np.ndarray] = OrderedDict()
 
     def _alone(self, camera: Camera) -> Evaluator:
-        """Evaluator of the scene with `camera` in place of the rig; callers state the positions to evaluate."""
+        """Evaluator of the scene with one `camera` in place of the rig; callers give it the poses to evaluate."""
         if camera not in self._of_camera:
             scene = replace(self._evaluator.scene, camera=camera)
             self._of_camera[camera] = Evaluator(scene, self._evaluator.positions[:1], threads=1)
@@ -60,7 +60,7 @@ class CameraViews:
         """Tags that a camera with the given mount sees from each of the N poses of the body.
 
         Returns:
-            bit mask of the tags for each pose, `(N, W)` 64-bit integers, see `lmd.core.bits`.
+            bit mask for each pose, `(N, W)` 64-bit integers: bit k % 64 of integer k // 64 is 1 if tag k is seen.
         """
         if mount not in self._kept:
             self._kept[mount] = self._look(mount)
@@ -85,7 +85,7 @@ class CameraViews:
     def units(self, mounts: Sequence[Mount], n: int) -> np.ndarray:
         """Probability P_n that a rig with all `mounts` sees at least n tags, at each of the body's P positions, `(P,)`.
 
-        The probabilities are integers: multiples of 1 / `PROBABILITY_ONE`.
+        A probability is stored as an integer, its product with `PROBABILITY_ONE`.
         """
         union = np.uint64(0)
         for mount in mounts:
@@ -138,8 +138,9 @@ class CameraProblem(Problem):
         return isinstance(self.objective, Coverage)
 
     def _corners(self) -> tuple[Mount, ...]:
-        """Mounts at the corners of the body's boxes and of the rectangles in which cameras may be placed. If all these
-        corners are in the room, so is the body.
+        """Mounts at the corners of the body's boxes and of the rectangles in which cameras may be placed.
+
+        The body counts as inside the room if all these corners are.
         """
         boxes = [np.array(corner) for box in np.dstack(self.space.body.corners) for corner in product(*box)]
         places = [

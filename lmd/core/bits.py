@@ -1,9 +1,9 @@
-"""Bit masks over the axes of a camera, and counters for each axis that are stored as binary digits.
+"""Bit masks over the orientations of a camera, and counters for each orientation that are stored as binary digits.
 
-An axis is one of the camera's orientations. A mask has one bit for each axis, in 64-bit integers that are called words:
-axis a is bit a % 64 of word a // 64. A counter is a number for each axis, such as the number of landmarks in view. The
-counters of the 64 axes of a word are stored as J words, their binary digits: digit j is the word of bit j of each
-counter.
+An orientation of the camera is called an axis. A mask has one bit for each axis, in 64-bit integers that are called
+words: axis a is bit a % 64 of word a // 64. A counter is a number for each axis, such as the number of landmarks in
+view. The counters of the 64 axes of a word are stored as J words: word j has binary digit j of each of the 64
+counters. So an instruction of the processor works on 64 counters.
 """
 
 from typing import Any, TypeAlias
@@ -31,9 +31,9 @@ def lowest(word: Any) -> np.uint64:
 
 
 def prefetch(array: Any, index: Any) -> None:
-    """Tell the processor to load 16 elements of an array, which are needed soon, from the element `index` on.
+    """Load 16 elements of an array into the processor's cache before they are needed, from the element `index` on.
 
-    An element has 64 bits, so these are two cache lines. The array is in C order.
+    The array is in C order. An element has 64 bits, so 16 elements fill two cache lines.
     """
 
 
@@ -85,7 +85,8 @@ def add_digit(digit: np.uint64, carry: np.uint64, decrement: np.uint64) -> tuple
 def equal_so_far(equal: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
     """Mask of those axes in the mask `equal` whose counter has the same binary digit j as the number n.
 
-    Masks are 64-bit integers with one bit for each axis. `digit` has bit j of the counter of each axis.
+    Masks are 64-bit integers with one bit for each axis. `digit` has bit j of the counter of each axis. Calls for all
+    digits j, one after the other, leave the axes whose counter equals n.
     """
     return equal & (digit if n >> j & 1 else ~digit)
 
@@ -127,17 +128,20 @@ def at_least(digits: WordArray, n: Integer) -> np.uint64:
 
 
 def in_words(values: np.ndarray) -> np.ndarray:
-    """Pad the last axis of an array `(..., D)` with zeros to a multiple of 64, the number of bits of a word."""
+    """Copy of an array `(..., D)`, with zeros appended to its last axis so that D is a multiple of 64, see `packed`."""
     missing = -values.shape[-1] % BITS
     return np.ascontiguousarray(np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)]))
 
 
 def packed(flags: np.ndarray) -> np.ndarray:
-    """Pack flags, 0 or 1, `(..., D)`, into 64-bit integers `(..., W)`; flag d is bit d % 64 of integer d // 64."""
+    """Pack flags (0 or 1) `(..., D)` into 64-bit integers `(..., W)`: flag d becomes bit d % 64 of integer d // 64.
+
+    W is D / 64, rounded up; unused bits are 0.
+    """
     return np.packbits(in_words(flags), axis=-1, bitorder="little").view("<u8").astype(np.uint64, copy=False)
 
 
 def unpacked(words: np.ndarray, size: int) -> np.ndarray:
-    """Inverse of `packed`: flags, 0 or 1, `(..., size)`, from the 64-bit integers `words` `(..., W)`."""
+    """Flags (0 or 1) `(..., size)` from the 64-bit integers `words` `(..., W)` in which `packed` stored the flags."""
     octets = np.ascontiguousarray(words.astype("<u8", copy=False)).view(np.uint8)
     return np.unpackbits(octets, axis=-1, count=size, bitorder="little")

@@ -44,7 +44,7 @@ class InputError(ValueError):
     """Error in the user's input.
 
     Args:
-        message: one sentence for the user, converted by `printable`.
+        message: one sentence for the user; non-printable characters are replaced by escapes.
         argument: name of the wrong argument, with which the message begins; None if no argument is wrong.
     """
 
@@ -101,7 +101,7 @@ def real(
     """Return `value` as a float.
 
     `above` is an open lower bound; `low` and `high` are closed bounds. Infinity is accepted only with `infinite`.
-    Without `high`, the magnitude is at most `LARGEST`.
+    Without `high`, the magnitude is at most `LARGEST` = 1e12.
 
     Raises:
         InputError: `value` is not a number, is NaN, or is out of range.
@@ -129,7 +129,9 @@ def real(
 
 
 def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
-    """Return `value` as an int in [low, high], see `real`; whole floats such as 1e3 are accepted.
+    """Return `value` as an int in [low, high]; whole floats such as 1e3 are accepted.
+
+    Without `high`, the greatest accepted number is `LARGEST` = 1e12.
 
     Raises:
         InputError: `value` is not a whole number or is out of range.
@@ -277,7 +279,7 @@ def returned(part: Any, method: str, value: Any, *shape: int | None, truth: bool
         method: name of the method.
         value: result of the method.
         shape: required length of each axis of the result; None for any length.
-        truth: True for a mask, False for real numbers.
+        truth: True if the result must be a mask of booleans, False if its entries must be real numbers.
 
     Raises:
         InputError: the result has another shape, or entries of another type.
@@ -295,7 +297,7 @@ def returned(part: Any, method: str, value: Any, *shape: int | None, truth: bool
 
 @cache
 def _field_checks(kind: type) -> tuple[tuple[str, Callable[[str, Any], Any], bool], ...]:
-    """For each checked field of a dataclass: its name, its check, and True if the field may be None."""
+    """Fields that `Checked` checks in a dataclass: for each, its name, check function, and True if None is allowed."""
     found = []
     for field in fields(kind):
         types = get_args(field.type) if get_origin(field.type) in (Union, UnionType) else (field.type,)

@@ -77,7 +77,7 @@ CLOCK = CompileClock()
 
 
 class TimedCompiler(Compiler):
-    """numba's compiler, which stops `CLOCK` while it works, so that `CLOCK` measures time without compilation."""
+    """numba's compiler, which stops `CLOCK`, the process-wide `CompileClock`, while it works."""
 
     returns_arrays = True  # False: a function may return an array with a reference count, but no tuple with an array
 
@@ -85,8 +85,8 @@ class TimedCompiler(Compiler):
         """Compile a function of Python; return numba's result of the compilation.
 
         Raises:
-            TypeError: the attribute `returns_arrays` is False, and the function returns a tuple with arrays, or an
-                array whose references are not counted.
+            TypeError: the compiler's attribute `returns_arrays` is False, and the function returns a tuple with arrays,
+                or an array without a reference count. Such arrays would be freed too early.
         """
         counted, models = self.state.flags.nrt, self.state.targetctx.data_model_manager
         with CLOCK.stopped(func):

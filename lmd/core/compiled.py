@@ -22,7 +22,7 @@ PYTHON: bool = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined] # nu
 
 
 def _inside() -> Any:
-    """Module `lmd.core.inside_numba`; None in plain Python, or if the installed numba does not fit this module."""
+    """Module `lmd.core.inside_numba`; None if numba's compiler is disabled, or if the installed numba does not fit."""
     if PYTHON:
         return None
     try:
@@ -65,7 +65,7 @@ With this clock, time limits do not depend on the cache of kernels.
 
 
 def is_compiling() -> bool:
-    """True while this process compiles; only a signal can interrupt the compiler."""
+    """True while this process compiles; only a signal can stop a run during this time."""
     return CLOCK.active
 
 
@@ -115,9 +115,9 @@ def inner(function: F) -> F:
 def inlined(function: F) -> F:
     """Like `inner`, but LLVM copies the function into its callers regardless of its size.
 
-    Then LLVM vectorises loops that call the function, and moves invariant terms out of the loops. No arguments are
-    passed, which saves time: an objective's state is a named tuple of hundreds of numbers. To pass it at each position
-    of the camera would take longer than the function's work.
+    Then LLVM vectorises loops that call the function, and moves invariant terms out of the loops. A copied function
+    also gets its arguments at no cost. An argument such as an objective's state is a named tuple of hundreds of
+    numbers. To pass this tuple at each position of the camera would take longer than the function's work.
     """
     return _made_inner(function, _INNER, _UNCOUNTED | _INLINED)
 

@@ -173,8 +173,8 @@ class InnerCompiler(KernelCompiler):
 class AllocatingCompiler(InnerCompiler):
     """Compiler of inner functions that may return arrays.
 
-    These are `allocating` functions, which count references to arrays, and numba's overloads, which count references if
-    their callers do.
+    Such functions are made by `allocating`, and then count references to arrays; or are registered by numba's
+    `overload`, and then count references if their callers do.
     """
 
     returns_arrays = True
@@ -183,8 +183,9 @@ class AllocatingCompiler(InnerCompiler):
 class Cache(FunctionCache):
     """Disk cache of compiled kernels; a kernel is valid while the digest of its source code is unchanged.
 
-    Reading an index of the cache imports the modules that define the classes of a kernel's arguments. So there is one
-    index for each set of such modules. If several processes need a kernel, one of them compiles it.
+    To read an index file, numba imports the modules that define the classes of all arguments in it. So each set of such
+    modules has an index file of its own, and no other modules are imported. If several processes need a kernel, one of
+    them compiles it.
     """
 
     def __init__(self, function: Any) -> None:

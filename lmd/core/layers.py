@@ -1,6 +1,6 @@
 """Stacks of equal named tuples of arrays: one named tuple whose arrays have an additional first axis.
 
-Kernels are compiled once for all lengths; with a tuple of n named tuples, kernels would be compiled for each n.
+A kernel is compiled once for stacks of any height; for a tuple of n named tuples it would be compiled for each n.
 """
 
 from typing import Any, TypeVar
@@ -26,8 +26,8 @@ def layers(bundle: Bundle, number: int) -> Bundle:
 def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
     """Stack `number` copies of `part` along a new first axis; `part` is an array or a nested tuple of arrays.
 
-    `copies` contains the stacks made before, keyed by the `id()` of the array, so that shared arrays stay shared. A
-    recursive closure in `layers` would be a reference cycle, which delays the release of arrays.
+    `copies` receives each finished stack, keyed by the `id()` of its array, so that shared arrays stay shared. This
+    function is no closure in `layers`, as a recursive closure is a reference cycle and delays the release of arrays.
     """
     if isinstance(part, tuple):
         return _made(type(part), [_copied(inner, number, copies) for inner in part])

@@ -41,7 +41,7 @@ def missing(package: str, extra: str) -> InputError:
 
 
 def missing_of(error: BaseException | None) -> InputError | None:
-    """Error about a missing package of `EXTRAS`, see `missing`, if that is the cause of `error`; else None."""
+    """Error made by `missing` if a missing optional package, one of `EXTRAS`, caused `error`; None otherwise."""
     while error is not None and not isinstance(error, ModuleNotFoundError):
         error = error.__cause__ or error.__context__
     name = getattr(error, "name", None) or ""

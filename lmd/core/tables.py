@@ -1,5 +1,6 @@
-"""Readers and writers of CSV tables, with messages that name file, line and value. Also checks of the units of times
-and angles, and sort keys of times.
+"""Readers and writers of CSV tables, with messages that name file, line and value.
+
+The module also checks the units of times and angles, and sorts the texts of times.
 """
 
 import csv
@@ -47,13 +48,12 @@ def write_table(file: str | Path | TextIO, columns: Mapping[str, ArrayLike]) -> 
 
 @dataclass(frozen=True)
 class Table:
-    """Texts of a CSV with a header.
+    """Cells of a CSV with a header, as texts.
 
     Args:
         path: path of the file, for messages.
-        lines: line number of each row, from 1.
-        texts: texts of each column, one per row, keyed by the column's name, with escapes in place of control
-            characters.
+        lines: number of the line in the file from which each row comes, from 1.
+        texts: cells of each column, one for each row, keyed by the column's name. Control characters become escapes.
     """
 
     path: str
@@ -162,7 +162,7 @@ def csv_rows(path: Any, lines: Sequence[tuple[int, str]], name: str) -> list[tup
 
 
 def _safe(text: str) -> str:
-    """Text without characters that control a terminal or the direction of writing; ordinary blanks are kept."""
+    """Text with escapes in place of characters that control a terminal or the direction of writing."""
     return text if text.isprintable() else CONTROL.sub(lambda found: printable(found[0]), text)
 
 
@@ -227,8 +227,8 @@ def _time_key(text: str) -> tuple[float, str]:
 def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) -> None:
     """Raise `InputError` if times `(T,)` of the file `source` seem to be in smaller units than seconds.
 
-    The times may have any origin. With `positions` `(T, 3)`, metres, the speed is checked too: frames that are seconds
-    apart, while the camera hardly moves, have times in milliseconds.
+    The times may have any origin. With the camera's `positions` `(T, 3)`, metres, the speed is checked too. Times that
+    are seconds apart, although the camera hardly moves between them, are taken for milliseconds.
     """
     latest = float(np.abs(time).max())
     if latest > LATEST:

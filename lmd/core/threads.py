@@ -22,7 +22,7 @@ def available_threads() -> int:
 
 @cache
 def _helpers(count: int) -> ThreadPoolExecutor:
-    """Pool of `count` threads, kept for all calls of `at_once`, as starting threads takes a millisecond."""
+    """Pool of `count` threads, which all calls of `at_once` share, because to start threads takes a millisecond."""
     return ThreadPoolExecutor(count)
 
 

@@ -120,9 +120,9 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def ready_server() -> None:
-    """Prepare a server process from which workers are forked; it imports the project's modules that are loaded here.
+    """Prepare a server process from which workers are forked, so that workers start quickly.
 
-    So workers start quickly.
+    The server imports those of the project's modules that this process has loaded.
     """
     multiprocessing.set_forkserver_preload([name for name in sys.modules if name.startswith(OWN_PACKAGES)])
 

@@ -34,7 +34,7 @@ Choice = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Fit:
-    """Fitted limits of a detector, with their scores on the held-out half of the views."""
+    """Limits within which a detector finds tags, fitted to half of the views, with their scores on the other half."""
 
     limits: Limits
     """Limits of the detector."""
@@ -70,7 +70,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class DetectorCalibration:
-    """Limits of one detector with the data that support them."""
+    """Fitted limits of one detector, the views of tags to which they are fitted, and scores of their predictions."""
 
     views: TagViews
     """Views of single tags, to which the limits are fitted."""
@@ -82,7 +82,7 @@ class DetectorCalibration:
     """Number of photographs that the views were taken from; 0 for rendered views."""
 
     def figures(self) -> dict[str, float]:
-        """Limits and scores as one row of a table, keyed by the name of the column."""
+        """Row of a table, keyed by column: numbers of views and photographs, fitted limits, and scores."""
         limits, fit = self.fit.limits, self.fit
         return {
             "views": len(self.views),
@@ -125,8 +125,9 @@ class DetectorCalibration:
 
 
 def predicted_in_frames(limits: Limits, renderer: Renderer, poses: FloatArray) -> BoolArray:
-    """Mask of the tags that should be detected in N frames according to the limits, `(N, K)`; False for tags that
-    overlap another tag.
+    """Mask of the tags that should be detected according to the limits, `(N, K)`, for K tags in N frames.
+
+    Tags that overlap another tag on the wall are False.
 
     Args:
         limits: limits of the detector.
@@ -157,20 +158,20 @@ def frame_scores(predicted: BoolArray, seen: Matches) -> dict[str, float]:
 def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     """Fit the limits of a detector to one half of the views, and score them on the other half.
 
-    Views that are not from a recording (`placed` is None) are halved at random. The minimised value is max(false
-    positives, false negatives). This value balances the two kinds of error, so that the predicted fraction of frames
-    with at least n tags is unbiased.
+    Views that are not from a recording (`placed` is None) are halved at random. The fit minimises max(false positives,
+    false negatives). So the two kinds of error are balanced, and the predicted fraction of frames with at least n tags
+    is unbiased.
 
-    The views of a recording are halved in time, as consecutive images are similar. The minimised value is the total
-    number of errors. Balanced errors would compensate for tags that are missed because of glare or occlusion, which the
-    limits do not model. The margin, and the image circle of each camera, are fitted, too.
+    The views of a recording are halved in time, as consecutive images are similar. The fit minimises the total number
+    of wrong predictions. Balanced errors would compensate for tags that are missed because of glare or occlusion, which
+    the limits do not model. The margin, and the image circle of each camera, are fitted, too.
 
     Args:
         views: at least two views; views of a recording must be from images taken at two or more different times.
         rng: random generator that halves the views.
-        margin: least distance of a tag's corners from the image border at which the detector finds the tag, pixels.
-            Views that are not from a recording do not determine the margin, so this value is kept. For a recording the
-            value is the lower bound of the fitted margin.
+        margin: least distance between the image border and the corners of a tag that the detector finds, pixels. Views
+            that are not from a recording do not determine the margin, so the limits contain `margin` unchanged. For a
+            recording, `margin` is the lower bound of the fitted margin.
 
     Raises:
         InputError: there are too few views, or the margin is negative.
@@ -206,12 +207,9 @@ def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...])
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     """Find the limits, and the diameter of each camera's image circle, that predict the detections in `views` best.
 
-    The minimised value is the number of wrong predictions for a recording, otherwise max(false positives, false
-    negatives). `margin`, pixels, is the margin in the limits; for a recording, it is the lower bound of the fitted
-    margin.
-
-    Limits that are optimised jointly form a group. A group has one mask for each combination of their values: the mask
-    of the views that meet the limits with these values.
+    The fit minimises the number of wrong predictions for a recording, otherwise max(false positives, false negatives).
+    `margin`, pixels, becomes part of the limits; for a recording, it is the lower bound of the fitted margin. The
+    diameters, pixels, are empty without a recording.
     """
     placed, margins, circles = views.placed, np.array([margin]), []
     sharp = views.pitch >= np.hypot(PITCHES[:, None, None], BLURS[:, None] * views.sigma)  # (A, K, M)
@@ -254,21 +252,21 @@ def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
 def _searched(
     groups: list[BoolArray], start: list[Choice], seen: BoolArray, kinds: tuple[Errors, ...]
 ) -> tuple[int, list[Choice]]:
-    """Minimise several error counts, one after the other. The search for each starts at the optimum of the previous
-    one.
+    """Find the values of limits that minimise several error counts, one count after the other.
 
-    The search is a coordinate descent: groups of limits are optimised in turn, each over all combinations of values of
-    its limits, until no group lowers the error count.
+    The search for each count starts at the optimum of the previous one. Some limits are optimised jointly, as a group.
+    Group by group, the search tries all combinations of candidate values of the group's limits, until no group lowers
+    the error count.
 
     Args:
-        groups: for each group, masks of the M views that meet its limits, one mask for each combination of values,
-            `(..., M)`.
-        start: for each group, the indices of the combination at which the first search starts.
+        groups: for each group, masks of the M views that meet its limits, `(..., M)`; the leading axes run over the
+            candidate values.
+        start: for each group, the indices of the candidate values at which the first search starts.
         seen: mask of the views whose tag is detected, `(M,)`.
         kinds: functions that count the errors, given a mask of the predicted views and `seen`.
 
     Returns:
-        minimum of the last error count; and for each group, the indices of the chosen combination of values.
+        minimum of the last error count; and for each group, the indices of the best candidate values.
     """
     chosen, least = list(start), 0
     for errors in kinds:
@@ -285,12 +283,12 @@ def _searched(
 
 
 def _all_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
-    """Number of wrong predictions, counted along the last axis."""
+    """Number of views along the last axis whose detection is predicted wrongly."""
     return np.asarray((predicted != seen).sum(axis=-1))
 
 
 def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
-    """Number of false positives or of false negatives, whichever is larger, counted along the last axis."""
+    """Number of false positives or of false negatives among the views along the last axis, the larger of the two."""
     return np.asarray(np.maximum((predicted & ~seen).sum(axis=-1), (~predicted & seen).sum(axis=-1)))
 
 

@@ -127,9 +127,9 @@ LEAST_SHARE = 0.1
 class CornerErrors(Checked):
     """Log-normal distribution of the root mean square error of a tag's four corners, as a function of the pitch.
 
-    Between the given pitches, the logarithm of a quantile is interpolated linearly in the logarithm of the pitch;
-    beyond the given pitches, quantiles are constant. The errors of the eight corner coordinates form a vector, whose
-    direction is uniformly distributed.
+    The distribution is given by two quantiles, `median` and `high`, at several pitches. Between these pitches, the
+    logarithm of a quantile is linear in the logarithm of the pitch; beyond them, the quantiles are constant. The errors
+    of the eight corner coordinates form a vector, whose direction is uniformly distributed.
 
     Raises:
         InputError: `median`, `high` or `inward` has another length than `pitch`, or `inward_spread` is negative.
@@ -159,9 +159,7 @@ class CornerErrors(Checked):
                 )
 
     def _at(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Parameters of the log-normal distribution at each pitch, in the shape of `pitch`: mean and standard deviation
-        of the logarithm of the error.
-        """
+        """Mean and standard deviation of the logarithm of the corner error, each in the shape of `pitch`."""
         at, known = np.log(pitch), np.log(self.pitch)
         mean, high = (np.interp(at, known, np.log(values)) for values in (self.median, self.high))
         return mean, (high - mean) / NORMAL_QUANTILE_90
@@ -185,16 +183,17 @@ class CornerErrors(Checked):
         return np.asarray(np.interp(np.log(pitch), np.log(self.pitch), self.inward))
 
     def independent_sigma(self, pitch: FloatArray) -> FloatArray:
-        """Standard deviation of the error of one corner coordinate, without the mean shift `inward`, pixels.
+        """Standard deviation of the error of one corner coordinate, pixels, in the shape of `pitch`.
 
-        The result has the shape of `pitch`.
+        The mean shift of the tag's edges towards its centre (`inward`) is not included.
         """
         whole = self.sigma(pitch)
         return np.asarray(np.sqrt(np.maximum(whole**2 - self.inward_at(pitch) ** 2, (LEAST_SHARE * whole) ** 2)))
 
     def sigma(self, pitch: FloatArray) -> FloatArray:
-        """Root mean square error of one corner coordinate, including the mean shift `inward`, pixels, in the shape of
-        `pitch`.
+        """Root mean square error of one corner coordinate, pixels, in the shape of `pitch`.
+
+        The mean shift of the tag's edges towards its centre (`inward`) is included.
         """
         mean, spread = self._at(pitch)
         return np.asarray(np.exp(mean + spread**2) / np.sqrt(2.0))
@@ -224,8 +223,9 @@ def shortest_side(image: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class MeasuredCorners:
-    """Corner errors of one detector with one camera and lighting, as functions of the pitch: independent noise, and a
-    shift of the tag's edges.
+    """Corner errors of one detector with one camera and lighting: independent noise, and a shift of the tag's edges.
+
+    The noise depends on pitch and incidence angle, the shift on the pitch.
     """
 
     pitch: tuple[float, ...]
@@ -248,10 +248,12 @@ class MeasuredCorners:
 
     @classmethod
     def of(cls, pitch: FloatArray, incidence: FloatArray, error: FloatArray, image: FloatArray) -> "MeasuredCorners":
-        """Estimate the errors in bins of pitch, each with at least `LEAST_TAGS` tags.
+        """Estimate the noise and the shift from the corner errors of N detected tags.
+
+        The tags are divided into bins of pitch, each with at least `LEAST_TAGS` tags.
 
         Args:
-            pitch: pitches of N tags, pixels per module, `(N,)`.
+            pitch: pitches of the tags, pixels per module, `(N,)`.
             incidence: incidence angles, rad, `(N,)`.
             error: detected minus exact corners, pixels, `(N, 4, 2)`.
             image: exact corners, pixels, `(N, 4, 2)`.
@@ -281,7 +283,9 @@ class MeasuredCorners:
         return cls(pitches, noise, shifts, slants, oblique, modes)
 
     def independent_sigma(self, pitch: FloatArray, incidence: FloatArray) -> FloatArray:
-        """Standard deviation of the error of one corner coordinate, without the mean shift, pixels, `(...)`.
+        """Standard deviation of the error of one corner coordinate, pixels, `(...)`.
+
+        The mean shift of the tag's edges is not included.
 
         Args:
             pitch: pitches, pixels per module, `(...)`.

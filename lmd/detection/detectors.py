@@ -71,10 +71,10 @@ def read_family(name: str, value: Any, table: str, other: str) -> str:
     """Check that a library of tag detectors supports a tag family, and return the name of the family in `FAMILIES`.
 
     Args:
-        name: name of the argument, for messages.
+        name: name of the argument that gave the family, for messages.
         value: name of the family.
-        table: name of a field of the entries of `FAMILIES`. The field holds the library's own name of the family, and
-            is empty if the library does not support the family.
+        table: name of an attribute of a family in `FAMILIES`: the family's name in the library, empty if the library
+            does not support the family.
         other: name of another library, which the error message proposes.
 
     Raises:
@@ -95,7 +95,7 @@ class ArucoDetector(Checked):
     centre, so its corners are half a pixel off.
 
     Raises:
-        InputError: OpenCV lacks the family, or the preset is unknown.
+        InputError: OpenCV lacks the family, or there are no detector settings with the name `preset`.
     """
 
     family: Annotated[str, partial(read_family, table="dictionary", other="AprilTag")] = "36h11"
@@ -185,8 +185,9 @@ CORNER_TOLERANCE = 5.0
 
 @dataclass(frozen=True)
 class Matches:
-    """Tags that a detector found in one frame or in N frames; for N frames the arrays have a leading axis of length
-    N.
+    """Tags that a detector found, with their corners, and number of false detections, in one frame or in N frames.
+
+    For N frames the arrays have a leading axis of length N.
     """
 
     detected: BoolArray
@@ -205,13 +206,14 @@ class Matches:
 
     @classmethod
     def concatenated(cls, parts: Sequence["Matches"]) -> Self:
-        """Concatenate matches along the axis of the frames."""
+        """Concatenate the matches of several sequences of frames along the axis of the frames."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     @classmethod
     def beside(cls, parts: Sequence["Matches"]) -> Self:
-        """Join the matches of C cameras, each with N frames and K tags, along the axis of the tags, to arrays
-        `(N, C K)`; the numbers of false detections are summed.
+        """Join the matches of C cameras, each with N frames and K tags, to one object with C K tags in each frame.
+
+        The numbers of false detections in a frame are summed over the cameras.
         """
         detected = np.concatenate([part.detected for part in parts], axis=1)
         corners = np.concatenate([part.corners for part in parts], axis=1)

@@ -102,7 +102,7 @@ class Photographs:
         return [printable(path.name) for path in self.paths]
 
     def _with(self, suffixes: Sequence[str]) -> list[Path]:
-        """Files with one of the suffixes, ordered by name."""
+        """Files of the folder whose names have one of the suffixes, ordered by name."""
         paths = [path for path in folder_entries(self.folder, self.argument) if path.suffix.lower() in suffixes]
         return sorted(paths, key=lambda path: printable(path.name))
 
@@ -160,8 +160,9 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
 
 
 def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[int, int]) -> InputError:
-    """Make the error about an image or a video whose size `written` differs from the size `size` of the camera; sizes
-    are (width, height), pixels.
+    """Error that an image or a video does not have the size of the camera.
+
+    `written` is the size of the image or video, and `size` that of the camera, (width, height), pixels.
     """
     found, needed = (" x ".join(map(str, pair)) for pair in (written, size))
     return InputError(f"{argument}: {str(path)!r} has {found} pixels, but the camera has {needed}.", argument)
@@ -182,12 +183,12 @@ def pixels_of(content: bytes) -> tuple[int, ...] | None:
 
 
 def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
-    """Blur of an image, pixels: the median, over the tags in the image, of the blur of a tag. The blur of a tag is the
-    standard deviation of the blur across the second most blurred edge of the tag.
+    """Blur of an image, pixels: the median, over the tags in the image, of the blur of a tag.
 
-    Across an edge, the grey level rises from black to white. The distance between 16 and 84 % of this step is two
-    standard deviations of the blur. Motion blurs only the two edges perpendicular to the motion, so the second most
-    blurred edge shows this blur, too.
+    The blur of a tag is the standard deviation of the blur across the second most blurred edge of the tag. Across an
+    edge, the grey level rises from black to white. The distance between 16 and 84 % of the rise is two standard
+    deviations of the blur. Motion blurs only the two edges perpendicular to the motion, so the second most blurred edge
+    shows motion blur, too.
 
     Args:
         image: grey image, `(h, w)`.
@@ -227,8 +228,9 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
 
 
 def blurred(blurs: FloatArray) -> BoolArray:
-    """Mask of the frames that are much more blurred than the median, `(F,)`. `blurs` is the blur of each frame, pixels,
-    `(F,)`; NaN counts as sharp.
+    """Mask of the frames whose blur is far above the median blur of all frames, `(F,)`.
+
+    `blurs` is the blur of each frame, pixels, `(F,)`; NaN counts as sharp.
     """
     known = blurs[np.isfinite(blurs)]
     usual = np.median(known) if known.size else np.inf

@@ -60,7 +60,7 @@ class ViewRanges(Checked):
 
 @dataclass(frozen=True)
 class Mosaics(Checked):
-    """Random views in rendered mosaics.
+    """Source of random views of tags, rendered in mosaics (images of many tiles with one tag each).
 
     Raises:
         InputError: `count` is less than two.
@@ -220,8 +220,8 @@ def _detect(
 def _errors(detections: Detections, ids: NDArray[np.int64], expected: FloatArray) -> FloatArray:
     """Root mean square corner error of each tag of a mosaic, pixels, `(M,)`; NaN for tags that are not detected.
 
-    `expected` has the exact corners, pixels, `(M, 4, 2)`. Several tags of a mosaic may have one id, so a detection
-    belongs to the tag with its id and nearby corners.
+    `expected` has the exact corners, pixels, `(M, 4, 2)`. Several tags of a mosaic may have one id. So a detection is
+    assigned to a tag by the id and by the distances between detected and exact corners.
     """
     error = np.full(len(ids), np.nan)
     for number, found in zip(detections.ids, detections.corners, strict=True):

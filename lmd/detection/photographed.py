@@ -80,7 +80,7 @@ class BagImages(Checked):
     def _taken(self) -> list[tuple[str, int]]:
         """Time in the header (as a text) and time of recording (ns) of each image, in the order of the header times.
 
-        Images that follow faster than `rate` are left out.
+        Images that follow the previous one too soon for the sampling rate are left out.
         """
         found: dict[str, int] = {}
         for message in self.bag.messages(self.topic):
@@ -168,7 +168,7 @@ def detected_in_photographs(
     given: str | Path, cameras: "Sequence[Camera]", detector: "Detector", modules: int, each: Each, *,
     topic: Any = None, rate: float = 5.0, workers: int | None = None,
 ) -> DetectedTags:  # fmt: skip
-    """Detect tags in the photographs of all cameras.
+    """Detect tags in the photographs of all cameras; return the detected tags of each photograph.
 
     Args:
         given: folder of images, a video or a bag; for several cameras, a folder with a folder for each camera, or a
@@ -176,7 +176,7 @@ def detected_in_photographs(
         cameras: the cameras; photographs must have the image sizes of the cameras.
         detector: detector of the tags.
         modules: number of modules along an edge of a tag.
-        each: function like the built-in `map`, which keeps the order of the jobs; may use several processes.
+        each: function like the built-in `map`, with which ranges of images are read; may use several processes.
         topic: topic of the images in a bag; for several cameras, a list with the topic of each camera.
         rate: maximum number of frames per second taken from a video or a bag.
         workers: number of processes that `each` uses; None for one per processor. The result does not depend on this
@@ -230,7 +230,7 @@ def detected_in(
         camera: camera that took the images.
         detector: detector of the tags.
         modules: number of modules along an edge of a tag.
-        each: function like the built-in `map`, which keeps the order of the jobs; may use several processes.
+        each: function like the built-in `map`, with which ranges of images are read; may use several processes.
         workers: number of processes that `each` uses; None for one per processor.
 
     Raises:

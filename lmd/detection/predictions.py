@@ -33,7 +33,7 @@ QUANTILES = {"median": 0.5, "90": 0.9}
 
 @dataclass(frozen=True)
 class CameraPrediction:
-    """Prediction for N frames of one camera in a room with K tags."""
+    """Tags that a visibility model predicts to be visible in N frames of one camera, in a room with K tags."""
 
     renderer: Renderer
     """Camera and tags."""
@@ -82,16 +82,15 @@ class CameraPrediction:
 
 
 def _beside(name: str) -> cached_property[NDArray[Any]]:
-    """Make a property that concatenates the array attribute called `name` of all C cameras along the axis of the K
-    tags, `(N, C K)`.
-    """
+    """Make a property: the array attribute `name` of all C cameras, joined along the axis of tags, `(N, C K, ...)`."""
     return cached_property(lambda whole: np.concatenate([getattr(part, name) for part in whole.parts], axis=1))
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction for N frames of C cameras on one body; arrays of the cameras are concatenated along the axis of the
-    tags, which has the length C K.
+    """Tags that a visibility model predicts to be visible in N frames of the C cameras on one body.
+
+    Arrays have a column for each pair of a camera and one of the K tags; the columns of the first camera come first.
     """
 
     parts: tuple[CameraPrediction, ...]
@@ -115,7 +114,7 @@ class Prediction:
 
     @cached_property
     def overlapping(self) -> BoolArray:
-        """Mask of the tags that overlap another tag, `(K,)`."""
+        """Mask of the tags that overlap another tag on the wall, `(K,)`."""
         return overlapping(self.parts[0].renderer.room)
 
     def by_any(self, which: BoolArray) -> BoolArray:
@@ -127,9 +126,10 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
     """Metrics of one deployment and one detector.
 
     A frame of a rig consists of the simultaneous images of all cameras. In `predicted_<n>`, `detected_<n>` and
-    `agreement_<n>`, a tag counts once if at least one camera shows it. The pose is that of the body. The other metrics
-    count a tag once for each camera.
+    `agreement_<n>`, a tag counts once if at least one camera shows it. The metrics of single tags below count a tag
+    once for each frame and camera.
 
+    - `frames`, `tags`, `overlapping`: numbers of frames, of tags, and of tags that overlap another tag.
     - `predicted_<n>`, `detected_<n>`: P(>= n), the fraction of frames with at least n tags; with the suffix `_error`,
       its standard error.
     - `agreement_<n>`: fraction of frames in which prediction and detection agree on whether at least n tags are found.
@@ -140,8 +140,9 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
       the image border cuts; `overrated_overlapping` is the number of those not cut that overlap another tag.
     - `false_a_frame`: false detections per frame.
     - `corner_median`, `corner_90`: quantiles of the corner error, pixels.
-    - `pose_share`: fraction of frames whose detections determine a pose; `position_median`, `position_90`,
-      `attitude_median`, `attitude_90`: quantiles of the pose errors, metres and rad.
+    - `pose_share`: fraction of frames whose detections determine the pose of the camera or of the rig's body.
+    - `position_median`, `position_90`, `attitude_median`, `attitude_90`: quantiles of the errors of this pose, metres
+      and rad.
     """
     part = prediction.parts[0]
     row: dict[str, float] = {"frames": len(prediction.poses), "tags": part.visible.shape[1]}
@@ -201,14 +202,19 @@ SHARES = ("tags", "predicted", "detected")  # columns of `_shares`
 
 
 def _shares(prediction: Prediction, seen: Matches, members: BoolArray) -> dict[str, float]:
-    """Number of tags in the mask `members`, and fractions of these tags that are `predicted` and `detected`."""
+    """Number of `tags` in the mask `members`, and fractions of these tags that are `predicted` and `detected`.
+
+    The mask `(N, C K)` has a column for each pair of a camera and a tag.
+    """
     shares = {"predicted": prediction.visible[members].mean(), "detected": seen.detected[members].mean()}
     return {"tags": int(members.sum())} | shares
 
 
 def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArray, bounds: FloatArray) -> pd.DataFrame:
-    """Table of whole tags, with a row for each bin of `values` `(N, K)` that contains a tag; `bounds` are the edges of
-    the bins. Columns: `<name>_from`, `<name>_to`, `tags`, `predicted`, `detected`, `corner_median`, `corner_90`.
+    """Table of whole tags, with a row for each bin of `values` that contains a tag.
+
+    `values` `(N, C K)` has a number for each frame, camera and tag; `bounds` are the edges of the bins. Columns:
+    `<name>_from`, `<name>_to`, `tags`, `predicted`, `detected`, `corner_median`, `corner_90`.
     """
     error = corner_error(seen.corners, prediction.corners)
     place = np.searchsorted(bounds, values, side="right") - 1

@@ -125,11 +125,11 @@ class SurveyedViews:
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """Views of single tags in the images of the survey, with the detections that the survey recorded; `tag`,
-        `detector` and `rng` are ignored.
+        """Views of single tags in the images of the survey, with the detections that the survey recorded.
 
         Args:
             cameras: cameras of the images, several for a rig.
+            tag, detector, rng: ignored.
             imaging: blur of the photographs.
 
         Raises:

@@ -104,7 +104,7 @@ class Video(Checked):
 
     @cached_property
     def numbers(self) -> list[int]:
-        """Indices of the frames that are read."""
+        """Indices of the sampled frames among all frames of the video."""
         return list(range(0, len(self._index.times), max(1, round(self._index.rate / self.rate))))
 
     @property
@@ -124,8 +124,9 @@ class Video(Checked):
 
     @cached_property
     def _index(self) -> "_Index":
-        """Index of all frames. The whole video is read to build the index, as the number of frames in the header may be
-        missing or wrong.
+        """Times of all frames, and properties of the video that decide how frames are read.
+
+        The whole video is read for this purpose, as the number of frames in the header may be missing or wrong.
         """
         cv2, video = optional("cv2", "detection"), self._opened()
         try:
@@ -152,7 +153,7 @@ class Video(Checked):
         return InputError(f"{self.argument}: {str(self.path)!r} cannot be read as a video: {why}.", self.argument)
 
     def _opened(self, size: tuple[int, int] | None = None) -> Any:
-        """Open the video before its first frame.
+        """Open the video, and return the OpenCV object that reads it from the first frame on.
 
         Args:
             size: required width and height. Frames keep the sensor's orientation if they then have this size; otherwise
@@ -183,8 +184,9 @@ class Video(Checked):
         raise wrong_size(Path(self.path), self.argument, found[0], size)
 
     def _at(self, number: int, size: tuple[int, int]) -> Any:
-        """Open the video and grab frame `number`, so that `retrieve` decodes this frame; `size` is the required width
-        and height.
+        """Open the video at frame `number`; return the OpenCV object, whose method `retrieve` then decodes this frame.
+
+        `size` is the required width and height.
         """
         cv2, video = optional("cv2", "detection"), self._opened(size)
         if number and self._index.seeks:
@@ -223,7 +225,7 @@ class Video(Checked):
 
 @dataclass(frozen=True)
 class _Index:
-    """Times of all frames of a video, and properties of the video that decide how frames are read."""
+    """Times of all frames of a video, its frame rate, and whether the decoder can jump to a frame by its time."""
 
     times: list[float]
     """Times of the frames, seconds."""
@@ -266,7 +268,7 @@ def container_of(head: bytes) -> Container | None:
 
 
 def refusal(head: bytes) -> str:
-    """Reason why a file that begins with `head` is refused, as the predicate of a sentence about the file."""
+    """Reason for refusing a file that begins with `head`, as the end of a sentence whose subject is the file."""
     read = ", ".join(dict.fromkeys(kind.name for kind in CONTAINERS))
     if IMAGE.match(head):
         return "is a single image: give a folder of photographs, or a video."

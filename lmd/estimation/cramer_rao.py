@@ -1,12 +1,13 @@
 """Cramer-Rao bound on the pose of a camera from the images of landmarks.
 
-A perturbation of the pose X to X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v,
-where y_i x w is a cross product. The image of the landmark moves by J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z);
-(f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`. Here f_u and f_v are the focal lengths in pixels, [y_i]x is the matrix of the
-cross product with y_i, and I the unit matrix. For a distorting lens, the Jacobian of the lens (`lmd.geometry.lens`)
-replaces the factors with focal lengths. With pixel noise sigma the Fisher information about the pose is sum J_i^T J_i /
-sigma^2. No unbiased estimate from this one frame has a smaller covariance than the inverse of the information. Fewer
-than three landmarks, or collinear landmarks, do not determine the pose: the bound is infinite.
+Let the pose X change to X exp(w, v), with a rotation w and a displacement v. A landmark at y_i = (x, y, z) in the
+camera's frame then moves by y_i x w - v, where y_i x w is a cross product. The image of the landmark moves by J_i (w,
+v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`. Here f_u and f_v are the focal
+lengths in pixels, [y_i]x is the matrix of the cross product with y_i, and I the unit matrix. For a distorting lens, the
+Jacobian of the lens (`lmd.geometry.lens`) replaces the factors with focal lengths. With pixel noise sigma the Fisher
+information about the pose is sum J_i^T J_i / sigma^2. No unbiased estimate from this one frame has a smaller covariance
+than the inverse of the information. Fewer than three landmarks, or collinear landmarks, do not determine the pose: the
+bound is infinite.
 
 Let M be the pose of a camera on the body of a rig (`lmd.scene.rig.Rig.extrinsics`). If the body moves by (w, v), the
 camera moves by A (w, v), where A = Ad_{M^-1} is the adjoint matrix (`lmd.geometry.se3`). The Fisher information of all
@@ -79,11 +80,10 @@ def determines_pose(information: FloatArray) -> BoolArray:
 
 
 def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each; infinite if the information
-    does not determine the pose.
+    """Smallest standard deviations of position (metres) and attitude (rad) of an estimated pose, `(...)` each.
 
-    The deviations are the square roots of the traces of the position block and the attitude block of the inverse
-    information. `determines_pose` decides whether the information determines the pose.
+    The two numbers are the square roots of the traces of the position block and the attitude block of the inverse
+    information. Both are infinite if the information does not determine the pose, see `determines_pose`.
 
     Args:
         information: Fisher information about poses, `(..., 6, 6)`.
@@ -96,8 +96,9 @@ def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class CramerRaoMap:
-    """Cramer-Rao bounds at each position, for image noise of one pixel, as medians over the orientations of the
-    orientation PDF.
+    """Cramer-Rao bounds on the camera pose at each position, for image noise of one pixel.
+
+    Each bound is the median over the orientations of the orientation PDF.
     """
 
     positions: FloatArray
@@ -158,8 +159,9 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
 
 
 def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted median of the finite values in each row of `values` `(P, D)`; the result has the shape `(P,)` and is
-    infinite for rows without finite values.
+    """Weighted median of the finite numbers in each row, `(P,)`; infinite for rows without a finite number.
+
+    `values` has the shape `(P, D)`.
     """
     known = np.isfinite(values)
     weights = np.where(known | ~known.any(axis=1, keepdims=True), weight, 0.0)
@@ -168,13 +170,12 @@ def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class CramerRaoBound:
-    """Least RMS error that an unbiased estimate from a single frame can have, given the pixel noise. The class has the
-    interface `Estimator`, so that tables can show the bound beside real estimators.
+    """Least RMS pose error that an unbiased estimate from a single frame can have, given the pixel noise.
 
-    A tag is measured by the images of its corners, a point by the image of its centre. An estimator that uses earlier
-    frames may have smaller errors. The bound on the mean of the squared error Er (see `Errors.frobenius`) is tr S_vv +
-    2 tr S_ww. Here S is the bound on the covariance of the pose, with the blocks S_vv of the position and S_ww of the
-    attitude.
+    The class has the interface `Estimator`, so that tables can show the bound beside real estimators. A tag is measured
+    by the images of its corners, a point by the image of its centre. An estimator that uses earlier frames may have
+    smaller errors. The bound on the mean of the squared error Er (see `Errors.frobenius`) is tr S_vv + 2 tr S_ww. Here
+    S is the bound on the covariance of the pose, with the blocks S_vv of the position and S_ww of the attitude.
     """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:

@@ -1,12 +1,15 @@
-"""Uncertainty laws for filters. A law gives the standard deviation (sd) of the position or rotation of a pose, as a
-function of the distance and the number of tags in view.
+"""Uncertainty laws: formulas for the standard deviation (sd) of the position or rotation of an estimated camera pose.
 
-A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. There is one law for a single tag and
-another law for several tags. With one tag the position follows from the apparent size and tilt of a small square, with
-several tags from the angles between the tags. b and c are fitted by least squares to log sd. The scale a is the root
-mean square of sd / (d^b / n^c); errors divided by the law's sd then have the mean square 1 over all views.
+A filter may use a law for the noise of poses from images. A law consists of two power laws, one for views of a single
+tag and one for views of several tags. With the mean distance d [m] of the n tags in view, each power law is
 
-`RULES` are rules in common use, whose scale a is fitted likewise:
+    sd = a d^b / n^c.
+
+With one tag the position follows from the apparent size and tilt of a small square, with several tags from the angles
+between the tags. b and c are fitted by least squares to log sd of many views. The scale a is the root mean square of sd
+/ (d^b / n^c). So the ratios of a view's sd to the law have the mean square 1.
+
+`RULES` are simpler formulas in common use, whose scale a is fitted likewise:
 
 - `constant`: sd = a.
 - `squared`: sd = a d^2 / n, as in AdvantageKit's vision template (`linearStdDevBaseline`).
@@ -31,7 +34,10 @@ LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # reported quantiles of the ratio of sd 
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """Power law sd = scale d^distance / n^tags for n tags at the mean distance d, metres."""
+    """Standard deviation of a pose's position or rotation as a power law of the distance and number of tags in view.
+
+    For n tags at the mean distance d, metres, the standard deviation is `scale` d^`distance` / n^`tags`.
+    """
 
     scale: float
     """Scale a: sd of one tag at one metre, metres or rad."""
@@ -41,8 +47,10 @@ class PowerLaw:
     """Exponent c of the number of tags."""
 
     def at(self, distance: FloatArray | float, tags: IntArray | int) -> FloatArray:
-        """Standard deviations for mean distances [m] and numbers of tags; the two arrays are broadcast against each
-        other.
+        """Standard deviations of the position (metres) or rotation (rad) of poses, according to the power law.
+
+        The mean distances of the tags in view, `distance`, metres, and their numbers, `tags`, are broadcast against
+        each other.
         """
         return np.asarray(
             self.scale * np.power(distance, self.distance) / np.power(np.asarray(tags, dtype=np.float64), self.tags)
@@ -51,7 +59,10 @@ class PowerLaw:
 
 @dataclass(frozen=True)
 class Law:
-    """Uncertainty law: a power law for a single tag, and another one for several tags."""
+    """Uncertainty law: standard deviation of a pose's position or rotation, given the distance and number of tags.
+
+    Views of a single tag have one power law (see `PowerLaw`), views of several tags another.
+    """
 
     one: PowerLaw
     """Law for a single tag."""
@@ -59,13 +70,21 @@ class Law:
     """Law for two or more tags."""
 
     def at(self, distance: FloatArray, tags: IntArray) -> FloatArray:
-        """Standard deviations, `(V,)`, for mean distances [m] and numbers of tags, `(V,)` each."""
+        """Standard deviations of the position (metres) or rotation (rad) in V views, `(V,)`.
+
+        Args:
+            distance: mean distance of the tags in each view, metres, `(V,)`.
+            tags: number of tags in each view, `(V,)`.
+        """
         return np.where(tags == 1, self.one.at(distance, 1), self.several.at(distance, tags))
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Rule in common use: sd = a times a fixed function of the mean distance d and the number n of tags."""
+    """Formula in common use for the standard deviation of a pose's position or rotation.
+
+    The formula is a scale times a fixed function of the mean distance and the number of tags in view, see `RULES`.
+    """
 
     shape: str
     """Name of the rule, a key of `RULES`."""
@@ -89,10 +108,14 @@ BY_NUMBER = {"photonvision"}  # rules with one value of a for a single tag and o
 
 
 def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> PowerLaw:
-    """Fit a power law to the standard deviations of V views with mean distances [m] and numbers of tags, `(V,)` each.
+    """Fit a power law to the standard deviations of the position or rotation in V views.
 
-    `deviation` has the standard deviations, metres or rad. If the distance or the number of tags is nearly constant
-    over the views, its exponent is 0.
+    If the distance or the number of tags is nearly constant over the views, its exponent is 0.
+
+    Args:
+        distance: mean distance of the tags in each view, metres, `(V,)`.
+        tags: number of tags in each view, `(V,)`.
+        deviation: standard deviations, metres or rad, `(V,)`.
     """
     logs = {"distance": np.log(distance), "tags": -np.log(tags)}
     varied = {name: value for name, value in logs.items() if value.std() >= LEAST_VARIATION}
@@ -103,16 +126,23 @@ def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Po
 
 
 def _scale(deviation: FloatArray, shape: FloatArray) -> float:
-    """Scale factor for which the ratios `deviation` / (factor * `shape`) have the mean square 1 over the views. `shape`
-    has the values of the law without its scale; both arguments have one value for each view, `(V,)`.
+    """Scale of a law: the root mean square over V views of `deviation` / `shape`.
+
+    `deviation` has the standard deviations, and `shape` what the law with the scale 1 predicts, `(V,)` each.
     """
     return float(np.sqrt(((deviation / shape) ** 2).mean()))
 
 
 def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
-    """Fit a law to the standard deviations of V views, `(V,)`: one power law to the views of one tag, another to the
-    views of several tags. `distance` has the mean distances, metres, and `tags` the numbers of tags, `(V,)` each. If
-    there are fewer than `LEAST_VIEWS` views of one kind, that kind gets the power law fitted to all views.
+    """Fit an uncertainty law to the standard deviations of the position or rotation in V views.
+
+    One power law is fitted to the views of one tag, another to the views of several tags. If fewer than `LEAST_VIEWS`
+    views show one tag (or several), all views are used for this power law.
+
+    Args:
+        distance: mean distance of the tags in each view, metres, `(V,)`.
+        tags: number of tags in each view, `(V,)`.
+        deviation: standard deviations, metres or rad, `(V,)`.
 
     Raises:
         InputError: there are fewer than `LEAST_VIEWS` views.
@@ -132,9 +162,15 @@ def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
 
 
 def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Rule:
-    """Fit the rule named `shape`, a key of `RULES`, to the standard deviations of V views, `(V,)`. `distance` has the
-    mean distances, metres, and `tags` the numbers of tags, `(V,)` each. As for power laws, the ratios of the standard
-    deviations to the rule then have the mean square 1.
+    """Fit the scale of a rule to the standard deviations of the position or rotation in V views.
+
+    The ratios of the standard deviations to the rule then have the mean square 1, as for power laws.
+
+    Args:
+        shape: name of the rule, a key of `RULES`.
+        distance: mean distance of the tags in each view, metres, `(V,)`.
+        tags: number of tags in each view, `(V,)`.
+        deviation: standard deviations, metres or rad, `(V,)`.
     """
     per_view = RULES[shape](distance, tags)
 
@@ -146,10 +182,11 @@ def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatA
 
 
 def ratio_quantiles(deviation: FloatArray, predicted: FloatArray) -> dict[str, float]:
-    """Quantiles of the ratio `deviation` / `predicted` over V views, at the probabilities `LEVELS`.
+    """Quantiles over V views of the ratio `deviation` / `predicted`.
 
-    Both arguments are standard deviations, `(V,)`. The quantiles are keyed by names such as `50 %`. 90 % of the ratios
-    are between 1 / `factor_90` and `factor_90`.
+    Both arguments are standard deviations, `(V,)`; `predicted` is according to a law. The quantiles at the
+    probabilities `LEVELS` have keys such as `50 %`. One more number has the key `factor_90`: 90 % of the ratios are
+    between 1 / `factor_90` and `factor_90`.
     """
     ratio = deviation / predicted
     found = {

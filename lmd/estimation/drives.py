@@ -34,12 +34,11 @@ def filtered(
     start_attitude: float,
     **settings: object,
 ) -> tuple[Filtered, Scene]:
-    """Make the objective `Filtered` for drives, and a copy of the scene in which the camera positions are the positions
-    of the drives' frames.
+    """Make the objective `Filtered` for drives, and a scene whose camera positions are those of the drives' frames.
 
-    A source of random trajectories provides `drives` drives for the objective, and `fresh` further drives for the
-    validation. A recording, of the scene or from a file, is cut into drives of `block` seconds, and every `held_out`-th
-    drive is kept for the validation.
+    The scene is otherwise a copy of `scene`. A source of random trajectories provides `drives` drives for the
+    objective, and `fresh` further drives for the validation. A recording, of the scene or from a file, is cut into
+    drives of `block` seconds, and every `held_out`-th drive is kept for the validation.
 
     Args:
         scene: room, camera and orientations.

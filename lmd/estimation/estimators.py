@@ -49,7 +49,7 @@ def _square(error: FloatArray, covariance: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of S runs of T frames; NaN in frames without an estimate."""
+    """Errors of the poses estimated in S runs of T frames; NaN in frames without an estimate."""
 
     frobenius: FloatArray
     """Squared Frobenius norm Er = |X - Xh|_F^2 of the pose error, a sum of square metres (translation) and pure numbers

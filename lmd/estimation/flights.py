@@ -36,8 +36,8 @@ class TrajectorySource(Protocol):
 class Pace(Checked):
     """Limits of the motion between waypoints, and the frame rate.
 
-    Between two waypoints, position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5, as fast as
-    `speed` and `turn_rate` allow. At a waypoint the camera is at rest.
+    Between two waypoints, position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5, with the
+    time t from 0 to 1. The motion is as fast as `speed` and `turn_rate` allow. At a waypoint the camera is at rest.
 
     Raises:
         InputError: a value is not positive.

@@ -84,8 +84,9 @@ class CameraPoints(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CameraPoints":
-        """Make the measurement of the landmarks that are detected in frame t of run s; `uncertainty` has the lower
-        bound on the pixel noise.
+        """Make the measurement of the landmarks that are detected in frame t of run s.
+
+        The pixel noise is that of the recording, but at least the lower bound in `uncertainty`.
         """
         seen, these = recording.seen[s, t], recording.detections(s, t, t + 1)
         noise = np.maximum(recording.noise[these], uncertainty.least_pixel_noise)[:, None, None]
@@ -107,8 +108,9 @@ class CornerImages(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CornerImages":
-        """Make the measurement of the tag corners that are detected in frame t of run s; `uncertainty` has the lower
-        bound on the pixel noise.
+        """Make the measurement of the tag corners that are detected in frame t of run s.
+
+        The pixel noise is that of the recording, but at least the lower bound in `uncertainty`.
         """
         images = images_of(recording, s, t)
         noise = np.maximum(np.concatenate([image.noise for image in images]), uncertainty.least_pixel_noise).repeat(2)
@@ -131,11 +133,13 @@ class CornerImages(NamedTuple):
 
 @dataclass(frozen=True)
 class InvariantKalmanFilter(Uncertainty):
-    """Left-invariant extended Kalman filter of GTSAM. By default it uses the positions of landmarks in the camera's
-    frame, y_i = X^-1 C_i, as `lmd.estimation.observer` does.
+    """Left-invariant extended Kalman filter of GTSAM.
+
+    By default the filter uses the positions of landmarks in the camera's frame, y_i = X^-1 C_i, as
+    `lmd.estimation.observer` does.
 
     Raises:
-        InputError: a value is not positive, or `measured` is unknown.
+        InputError: a value is not positive, or `measured` is neither `points` nor `corners`.
     """
 
     measured: Annotated[str, partial(choice, options=("points", "corners"))] = field(default="points", kw_only=True)

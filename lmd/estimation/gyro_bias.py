@@ -6,11 +6,12 @@ C_i is measured at y_i in the camera's frame. With the noise n of w and white no
     T' = T (w - b - n),    b' = walk,    y_i = T^-1 C_i + noise.
 
 The filter is an extended Kalman filter of 12 numbers. Th and bh are the estimates, h is the time step. The prediction
-Th <- Th exp(h (w - bh)) is exact for constant w and b. Here ad, Ad and J are those of `lmd.geometry.se3`.
+Th <- Th exp(h (w - bh)) is exact for constant w and b. Below, Ad and ad are the adjoint maps of poses and twists, and J
+is the left Jacobian, see `lmd.geometry.se3`.
 
-The tangent group of SE(3) with the product (A, a)(B, b) = (A B, a + Ad_A b) acts on states by (T, b) -> (T A, Ad_A^-1
-(b - a)). The system is equivariant. With the origin (I, 0) the equivariant error is (e, z) = (T Th^-1, Ad_Th (b - bh)),
-in the frame of the map. The dynamics are
+The tangent group of SE(3) has pairs of a pose A and a twist a as elements. With its product (A, a)(B, b) = (A B, a +
+Ad_A b) it acts on states by (T, b) -> (T A, Ad_A^-1 (b - a)). The system is equivariant. With the origin (I, 0) the
+equivariant error is (e, z) = (T Th^-1, Ad_Th (b - bh)), in the frame of the map. The dynamics are
 
     e' = -e z,    z' = ad_W z    with W = Ad_Th (w - bh).
 
@@ -21,8 +22,8 @@ change in a time step by
 
 The output is equivariant, too: without noise, Th y_i = e^-1 C_i. Let x = (u, v) and c_i = (C_i + Th y_i) / 2. Then the
 residual Th y_i - C_i is c_i x u - v (with a cross product), up to third-order errors. After a correction (dx, dz), the
-errors relative to the new estimate are x <- J(dx) x and z <- Ad_exp(dx) z. So the linear part of the estimated bias
-stays 0.
+errors relative to the new estimate are x <- J(dx) x and z <- Ad_exp(dx) z. With these formulas the linear part of the
+estimated bias stays 0, as only the gyro is biased.
 
 Source: P. van Goor, T. Hamel and R. Mahony, "Equivariant filter (EqF)", IEEE Trans. Automatic Control 68 (6), 2023; A.
 Fornasier et al., "Overcoming bias: equivariant filter design for biased attitude estimation with online calibration",
@@ -43,7 +44,7 @@ from lmd.geometry.se3 import act, adjoint, adjoint_matrix, exp, inverse, left_ja
 
 
 class State(NamedTuple):
-    """Estimate of a pose and a bias."""
+    """Estimated pose and bias, with the covariance of their errors."""
 
     pose: FloatArray
     """Estimated pose Th, `(4, 4)`."""
@@ -57,8 +58,9 @@ class State(NamedTuple):
 
 @dataclass(frozen=True)
 class EquivariantFilter(Uncertainty):
-    """Equivariant filter on the tangent group of SE(3), for a camera with a biased gyro among known landmarks. The
-    noise of gyro and bias is taken from the errors of the odometry.
+    """Equivariant Kalman filter on the tangent group of SE(3), for a camera with a biased gyro among known landmarks.
+
+    The assumed noise of gyro and bias comes from the odometry model of the recording (`Recording.odometry`).
     """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
@@ -96,7 +98,8 @@ class EquivariantFilter(Uncertainty):
             state: estimate before the step.
             twist: measured body twist w, `(6,)`.
             step: duration h of the step, seconds.
-            density: standard deviations of the errors of twist and bias per root second, in the body's frame, `(12,)`.
+            density: standard deviations, per root second, of the errors of the twist (first 6) and of the bias, body's
+                frame, `(12,)`.
         """
         moved = step * (twist - state.bias)
         pose = state.pose @ exp(moved)
@@ -105,9 +108,9 @@ class EquivariantFilter(Uncertainty):
         return State(pose, state.bias, transition @ state.covariance @ transition.T + noise)
 
     def _from_body(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
-        """Covariance of the filter's errors (x, z) in the map's frame, `(12, 12)`, from variances in the body's frame.
+        """Covariance `(12, 12)`, in the map's frame, of independent errors of pose and bias in the body's frame.
 
-        `squares` `(12,)` has the variances of the independent errors of twist and bias; `pose` is the pose of the body.
+        `squares` `(12,)` has the variances of the errors, first of the pose; `pose` is the pose of the body.
         """
         turn = np.kron(np.eye(2), adjoint_matrix(pose))
         return np.asarray(turn @ np.diag(squares) @ turn.T)
@@ -123,11 +126,13 @@ class EquivariantFilter(Uncertainty):
         return self.moved(State(state.pose, state.bias, covariance), gain @ residual)
 
     def transition(self, pose: FloatArray, moved: FloatArray, step: float) -> FloatArray:
-        """Matrix that maps the errors (x, z) of pose and bias before a step to the errors after the step, `(12, 12)`.
+        """Matrix that maps the errors of pose and bias before a step to the errors after the step, `(12, 12)`.
+
+        The errors are x and z as in `State.covariance`.
 
         Args:
             pose: estimated pose Th before the step, `(4, 4)`.
-            moved: motion h (w - bh) in the step, `(6,)`.
+            moved: estimated motion h (w - bh) in the step of duration h, `(6,)`.
             step: duration h of the step, seconds.
         """
         world = adjoint(pose, moved)
@@ -148,8 +153,9 @@ class EquivariantFilter(Uncertainty):
         return (moved - seen.landmarks).reshape(-1), jacobian, turn @ seen.covariance @ turn.T
 
     def moved(self, state: State, change: FloatArray) -> State:
-        """State corrected by the estimated errors `change` = (dx, dz) of pose and bias, `(12,)`; its covariance is that
-        of the errors relative to the new state.
+        """Correct a state by the estimated errors of pose and bias, `change` = (dx, dz), `(12,)`; return the new state.
+
+        The covariance of the new state is that of the errors relative to this state.
         """
         step, reset = exp(change[:6]), np.zeros((12, 12))
         reset[:6, :6], reset[6:, 6:] = left_jacobian(change[:6]), adjoint_matrix(step)

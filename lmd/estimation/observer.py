@@ -4,15 +4,16 @@
 
 X is the camera pose, X-hat or Xh its estimate, and U the measured twist. Landmark i at C_i is measured at y_i = X^-1
 C_i and predicted at yh_i = Xh^-1 C_i in the camera's frame. The error is e_i = yh_i - y_i, and the cost is f = 1/2 sum
-k_i |e_i|^2 with the gains k_i. All sums are over the landmarks visible at that instant. Twists (w, v) have the metric
-diag(l^2 I, I) with a length l. The descent direction of f is
+k_i |e_i|^2 with the gains k_i. All sums are over the m landmarks visible at that instant. Twists (w, v) have the metric
+diag(l^2 I, I) with a length l. The descent direction -epsilon (short: -eps) of f is
 
 - left-invariant, as in the paper:  -eps = (l^-2 sum k_i yh_i x e_i, sum k_i e_i).
 - right-invariant:             -eps = Ad_{Xh^-1} (l^-2 sum k_i C_i x s_i, sum k_i s_i) with s_i = C_i - Xh y_i.
 
 The error dynamics of the right-invariant form do not depend on the trajectory. The paper takes Q, k_0 and P from a work
-that is not public. Here Q(d) = -d e_4^T / m, with d = Yh - Y for m landmarks in view, and P is the orthogonal
-projection to se(3). Then -P(k_0 I_4 Q) is the translation k_0 mean(e_i), which damps for k_0 > 0.
+that is not public. Here Q(d) = -d e_4^T / m, where e_4 is the fourth unit vector, and d = Yh - Y is the sum of all e_i
+with a fourth component 0. P is the orthogonal projection to se(3). Then -P(k_0 I_4 Q) is the translation k_0 mean(e_i),
+which damps for k_0 > 0.
 
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. II-A.
 """
@@ -54,7 +55,7 @@ class Observer(Checked):
     """Length l of the metric, metres: a position error of l weighs as much as one radian."""
 
     def landmark_gain(self, landmarks: FloatArray, measured: FloatArray, seen: BoolArray) -> FloatArray:
-        """Gain k_i, equal for all landmarks of a frame, `(...)`; 0 if no landmark is in view.
+        """Gain k_i of a landmark in the correction, equal for all landmarks of a frame, `(...)`; 0 if none is in view.
 
         Args:
             landmarks: positions C_i, world frame, metres, `(..., K, 3)`.
@@ -68,8 +69,10 @@ class Observer(Checked):
     def correction(
         self, estimate: FloatArray, landmarks: FloatArray, measured: FloatArray, seen: BoolArray
     ) -> FloatArray:
-        """Correction of the estimate: the body twist -epsilon - P(k_0 I_4 Q(Yh - Y)), rad/s and m/s, `(..., 6)`; zero
-        without a landmark in view.
+        """Correction of the estimated poses: body twists, rad/s and m/s, `(..., 6)`; zero without a landmark in view.
+
+        The twist is -epsilon - P(k_0 I_4 Q(Yh - Y)): a step that lowers the landmarks' errors, and damping, see the
+        module's docstring.
 
         Args:
             estimate: estimated poses Xh, `(..., 4, 4)`.
@@ -100,10 +103,10 @@ class Observer(Checked):
     def estimates(self, recording: Recording, start: FloatArray) -> FloatArray:
         """Estimated poses Xh at every frame, corrected with the landmarks in view in the frame, `(S, T, 4, 4)`.
 
-        Each step is exact for a constant twist and a constant correction: Xh <- Xh exp(h U), then Xh <- Xh exp(h xi)
-        with the correction xi from the landmarks of the new frame. U is the measured twist and h the time step. The
-        origin is moved to the centroid of all K landmarks, so that the arms C_i of the right-invariant form are short
-        and the form converges faster.
+        In a time step h, the measured twist U moves the estimate: Xh <- Xh exp(h U). Then the correction xi from the
+        landmarks of the new frame is applied: Xh <- Xh exp(h xi). Both updates are exact for a constant twist. The
+        origin is moved to the centroid of all K landmarks. The positions C_i in the right-invariant form are then
+        short, and the form converges faster.
 
         Args:
             recording: S runs.

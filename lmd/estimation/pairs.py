@@ -13,7 +13,7 @@ PAIRED_FIGURE = "within_20mm"
 
 
 def paired(figures: pd.DataFrame) -> pd.DataFrame:
-    """Compare each deployment with the first deployment.
+    """Compare each deployment with the first deployment in `figures`.
 
     Args:
         figures: `FlightStudy.figures`, one row for each deployment, estimator and seed.
@@ -24,9 +24,9 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
         deployments. `position_ratio` is the median, over these flights, of the position error divided by the error with
         the first deployment. `position_better` is the number of flights in which the deployment of the row has the
         smaller error. `within_20mm_gain` is the mean increase, from the first deployment to that of the row, of the
-        fraction of frames with a position error of at most 20 mm. `position_p` and `within_20mm_p` are two-sided
-        p-values of the Wilcoxon signed-rank test. `position_ratio` and `position_p` are NaN if no flight has estimates
-        for both.
+        fraction of frames with a position error of at most 20 mm. `position_p` and `within_20mm_p` are P-values of
+        two-sided Wilcoxon signed-rank tests of the ratios and of the increases. `position_ratio` and `position_p` are
+        NaN if no flight has estimates for both.
     """
     rows = []
     for estimator, runs in figures.groupby("estimator", sort=False):

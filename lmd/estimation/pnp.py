@@ -21,12 +21,11 @@ LEAST_NOISE = 0.01
 
 @dataclass(frozen=True)
 class PerspectiveNPoint:
-    """Estimator of each frame's pose from the images of this frame alone (PnP), see `lmd.geometry.pose`; for a rig,
-    from the images of all cameras.
+    """Estimator of each frame's pose from the images of this frame alone (PnP), see `lmd.geometry.pose`.
 
-    The estimator uses the corners of all tags in view, or the centres of at least four points. If several poses fit
-    almost equally well, as for a distant tag, the estimator takes the pose nearest to the one that odometry predicts
-    from the last unique pose.
+    For a rig, the images of all cameras are used. The estimator uses the corners of all tags in view, or the centres of
+    at least four points. If several poses fit almost equally well, as for a distant tag, the estimator takes the pose
+    nearest to an expected pose. Odometry predicts the expected pose from the last frame whose pose was unique.
     """
 
     def __post_init__(self) -> None:

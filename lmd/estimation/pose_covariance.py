@@ -1,7 +1,9 @@
-"""Covariance of the pose that a least-squares solver estimates from one image, with errors of corners and of the map.
+"""Covariance of the pose that a least-squares solver estimates from the simultaneous images of one or several cameras.
 
-J_t (8, 6) is the Jacobian of the image corners of tag t with respect to the body twist (w, v). The solver gives these
-corners the weight w_t. Let H = sum w_t J_t^T J_t, over all tags in view. The error of the pose is to first order
+The errors are those of the corners in the images and of the tags in the map. The index t stands for one tag in the
+image of one camera; a tag in view of two cameras has two such indices. J_t (8, 6) is the Jacobian of the image corners
+of t with respect to the body twist (w, v). The solver gives these corners the weight w_t. Let H = sum w_t J_t^T J_t.
+The error of the pose is to first order
 
     e = H^-1 sum w_t J_t^T r_t,    r_t = n_t + (b + mu_t) s_t + M_t m_t.
 
@@ -10,15 +12,16 @@ corners the weight w_t. Let H = sum w_t J_t^T J_t, over all tags in view. The er
 - b: shift of all edges in the image of a camera, inward or outward, with the variance beta^2. s_t is the displacement
   of the corners by a shift of one pixel (`lmd.detection.corner_errors.inward`). Solvers do not correct the mean shift
   mu_t of the detector, so its square is added.
-- m_t: error in the position and rotation of the tag in the map. M_t (8, 6) is its Jacobian. The errors of tags t and u
-  have the covariance P_tu, which is 0 for t != u unless a survey states the covariance of all tags together.
+- m_t: error in the position and rotation of the tag in the map. M_t (8, 6) is the Jacobian of the corners with respect
+  to this error. The errors of tags t and u have the covariance P_tu, which is 0 for t != u unless a survey states the
+  covariance of all tags together.
 
 The mean of e e^T, called covariance here, is H^-1 N H^-1. The matrix in the middle is
 
     N = sum w_t^2 sigma_t^2 J_t^T Q J_t + g g^T + beta^2 sum h_c h_c^T + sum B_t P_tu B_u^T.
 
-Here g = sum w_t mu_t J_t^T s_t is summed over all images, and h_c = sum w_t J_t^T s_t over the tags in the image of
-camera c. B_t = sum w_t J_t^T M_t is summed over the cameras.
+Here g = sum w_t mu_t J_t^T s_t, and h_c is the sum of w_t J_t^T s_t over the tags in the image of camera c. In the last
+sum, t and u stand for tags of the map. B_t is the sum of w_t J_t^T M_t over the images of tag t in all cameras.
 
 With w_t = 1 / sigma_t^2, Q = I, and without shifts and P this is the Cramer-Rao bound. Solvers such as OpenCV's
 `solvePnP` have w_t = 1; a tag with a large sigma_t or P_tt may then raise the covariance.
@@ -48,7 +51,7 @@ FRAMES_AT_ONCE = 1000  # frames processed together, with sums over tags of 288 b
 
 @dataclass(frozen=True)
 class TagErrors:
-    """Errors of K tags in images and in the map, and the weights that the PnP solver uses."""
+    """Errors of K tags (image corners, and poses in the map), and the weights that a PnP solver gives to corners."""
 
     noise: CornerErrors | MeasuredCorners | float
     """Errors of corners as functions of the pitch (pixels per module); or the standard deviation of each coordinate of
@@ -113,9 +116,9 @@ def pose_covariances(
         covariances: covariance of the body twist (w, v), `(F, 6, 6)`; infinite if the pose is undetermined.
         sigmas: standard deviation of a corner coordinate of each tag, pixels, `(F, K)`, the largest over the cameras; 0
             for tags not in view.
-        jacobians: for each of the P pairs of a frame and a tag in view, the Jacobian H^-1 B_t of the estimated body
-            twist with respect to the tag's error in the map, `(P, 6, 6)`; 0 if the pose is undetermined. The error is
-            that of position (m) and rotation (rad), world frame.
+        jacobians: for each of the P pairs of a frame and a tag in view, the Jacobian H^-1 B_t of the module's
+            docstring, `(P, 6, 6)`; 0 if the pose is undetermined. The Jacobian is that of the estimated body twist with
+            respect to the tag's error in the map, in position (m) and rotation (rad), world frame.
     """
     edges, frames, shown = deployment.edges_of(tag), len(poses), np.asarray(seen.any(axis=0))
     number = np.cumsum(shown).reshape(shown.shape) - 1  # of each pair of a frame and a tag in view
@@ -154,9 +157,10 @@ def pose_covariances(
 
 
 def _by_map(by_map: FloatArray, shown: BoolArray, errors: TagErrors) -> FloatArray:
-    """Contribution of the map's errors to the matrix N (see the module's docstring): the sum of B_t P_tu B_u^T in each
-    frame, `(F, 6, 6)`. The mask `shown` `(F, K)` marks the P pairs of a frame and a tag in view; `by_map` `(P, 6, 6)`
-    has the matrix B of each pair.
+    """Part of the matrix N that is due to the map's errors: the sum of B_t P_tu B_u^T in each frame, `(F, 6, 6)`.
+
+    The module's docstring defines the symbols. The mask `shown` `(F, K)` marks the P pairs of a frame and a tag in
+    view; `by_map` `(P, 6, 6)` has the matrix B_t of each pair.
     """
     frames, (frame, which) = len(shown), np.nonzero(shown)
     back = np.swapaxes(by_map, 1, 2)

@@ -43,10 +43,10 @@ class Odometry(Checked):
     """Standard deviation of the bias's random walk about each axis, rad/s per root second."""
 
     def measured(self, twists: FloatArray, steps: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Add random errors and the bias of the gyro to true twists, `(T - 1, 6)`, rad/s and m/s; return the sums.
+        """Measured twists: true twists plus random errors and the bias of the gyro, `(T - 1, 6)`, rad/s and m/s.
 
-        The error of a twist is the mean of white noise over the step: for noise of density q, its variance is q^2 / h
-        in a step of h seconds.
+        The error of a twist is the mean of white noise over the step. For noise of density q, the variance of the error
+        is q^2 / h in a step of h seconds.
 
         Args:
             twists: true twists, `(T - 1, 6)`.
@@ -128,7 +128,10 @@ class Look(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """M detections of K landmarks in the T frames of a flight, in the order of `np.nonzero(seen)`."""
+    """M detections of K landmarks in the T frames of a flight.
+
+    The order of the detections is that of `np.nonzero(seen)`: frame by frame, and by landmark in each frame.
+    """
 
     seen: BoolArray
     """Mask of the detected landmarks, `(T, K)`."""
@@ -193,9 +196,10 @@ class Sensor(Protocol):
 
 @dataclass(frozen=True)
 class Recording:
-    """M detections of landmarks in S runs of T frames, in the order of `np.nonzero(seen)`.
+    """M detections of landmarks in S runs of T frames.
 
-    For a rig, every landmark is listed once for each camera, so K is the number of landmarks times the number of
+    The order of the detections is that of `np.nonzero(seen)`: run by run, frame by frame, and by landmark in each
+    frame. For a rig, every landmark is listed once for each camera, so K is the number of landmarks times the number of
     cameras.
     """
 
@@ -287,9 +291,9 @@ def record(
 
 
 def check_images(flights: Sequence[Flight]) -> None:
-    """Raise `InputError` if a flight assumes all landmarks in view (`all_visible`); for sensors that measure in images.
+    """Raise `InputError` if a flight assumes all landmarks in view (`all_visible`).
 
-    A landmark behind the camera has no image.
+    Sensors that measure in images call this function, as a landmark behind the camera has no image.
     """
     if any(flight.all_visible for flight in flights):
         raise InputError(

@@ -38,13 +38,13 @@ class Frame(NamedTuple):
 class RenderedDetector(Checked):
     """Real detector on rendered frames, with missed and false detections; a `Sensor`.
 
-    The mean shift of the detector is subtracted from the corners, as a calibration would do. The position of a tag
-    follows from its corners. Every detection with the id of a tag is accepted; if a frame has several detections with
-    one id, only the largest is accepted. Other ids are ignored.
+    The mean shift of a tag's edges by the detector is subtracted from the corners, as a calibration would do. The
+    position of a tag follows from its corners. Every detection with the id of a tag is accepted; if a frame has several
+    detections with one id, only the largest is accepted. Other ids are ignored.
 
     Raises:
-        InputError: the tag is a point, the detector states no errors, the noise is not positive, or the shutter time is
-            negative.
+        InputError: the tag is a point, the detector has no `corner_errors`, the noise is not positive, or the shutter
+            time is negative.
     """
 
     tag: Tag
@@ -70,8 +70,9 @@ class RenderedDetector(Checked):
         return corners_of(deployment, self.tag)
 
     def batch(self, look: Look) -> "Batch":
-        """Make the batch of the frames that one camera takes on a flight. Flights with equal random generators `rng`
-        give equal frames.
+        """Make the batch of the frames that one camera takes on a flight.
+
+        Flights whose random generators `rng` are in equal states give equal frames.
         """
         flight = look.flight
         room = tagged_room(flight.evaluator.scene.room, flight.deployment, self.tag)
@@ -105,7 +106,7 @@ class RenderedDetector(Checked):
 
 
 class Batch(NamedTuple):
-    """Frames of one camera, to be rendered and read by one process."""
+    """Frames of one camera, which one process renders and in which it detects tags."""
 
     renderer: Renderer
     """Renderer of the camera."""
@@ -116,7 +117,10 @@ class Batch(NamedTuple):
 
 
 def images(batch: Batch) -> Iterator[UInt8Array]:
-    """Render the frames of a batch, `(h, w)` each. A second call gives other noise, as the frames' `rng` advance."""
+    """Render the frames of a batch, `(h, w)` each.
+
+    A second call gives other noise, as random numbers are drawn from the generator `rng` of each frame.
+    """
     return (batch.renderer.frame(frame.pose, frame.rng, frame.motion) for frame in batch.frames)
 
 

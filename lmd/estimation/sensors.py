@@ -27,8 +27,8 @@ class PointDetector(Checked):
     """Detector of landmarks that are points; a `lmd.estimation.recording.Sensor`.
 
     For each landmark three numbers are measured, with independent normal errors. Two are the image coordinates of the
-    centre; the third is the apparent length f a / z of an edge that the landmark is assumed to have, which gives the
-    depth z. Here f is the focal length, pixels, and a the length of this edge.
+    centre. The third is the apparent length f a / z of an edge of length a that the landmark is assumed to have. With
+    the focal length f, pixels, the apparent length gives the depth z.
 
     Raises:
         InputError: a value is out of range.
@@ -61,8 +61,8 @@ class PointDetector(Checked):
     def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
         """Simulate the measurement of landmarks at y = (x, y, z) in the camera's frame.
 
-        The noise of (x / z, y / z) is the pixel noise divided by the focal length. The measured depth is f a / w, where
-        f is the focal length, a the edge length of the landmark, and w >= 1 pixel the noisy apparent edge length. For a
+        The noise of the image point (x / z, y / z) is the pixel noise divided by the focal length f. The measured depth
+        is f a / w, where a is the edge length of the landmark, and w >= 1 pixel the noisy apparent edge length. For a
         distorting lens, the noise is added to the distorted image; for a fisheye, the edge gives the distance instead
         of z.
 
@@ -91,8 +91,9 @@ class PointDetector(Checked):
         return np.asarray(focal[0] * self.edge / width * ray)
 
     def covariance(self, measured: FloatArray, camera: Camera) -> FloatArray:
-        """Covariance of the measured positions y for one pixel of noise in each image coordinate and in the apparent
-        edge length, which gives the depth.
+        """Covariance of the measured positions y for one pixel of noise in each of the three measured numbers.
+
+        These numbers are the two image coordinates, and the apparent edge length, which gives the depth.
 
         Args:
             measured: measured positions y, metres, `(M, 3)`.
@@ -185,14 +186,14 @@ def corners_of(deployment: Deployment, tag: Tag) -> FloatArray:
 def observation(
     camera: Camera, edges: FloatArray, seen: BoolArray, found: FloatArray, noise: FloatArray
 ) -> Observation:
-    """Observation of tags from their detected corners.
+    """Compute the observation of K tags in T frames from the detected corners of the tags.
 
     Args:
         camera: intrinsics and lens.
         edges: edge lengths of the tags, metres, `(K,)`.
         seen: mask of the detected tags, `(T, K)`.
         found: detected corners, pixels from the outer corner of the image's top left pixel, `(M, 4, 2)`.
-        noise: standard deviation of the corners, pixels, `(M,)`.
+        noise: standard deviation of a corner coordinate in each detection, pixels, `(M,)`.
     """
     points = np.zeros((*seen.shape, 3))
     own = edges[np.nonzero(seen)[-1]]
@@ -229,9 +230,9 @@ def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[Float
 def _covariance(camera: Camera, edges: FloatArray, turns: FloatArray, centres: FloatArray) -> FloatArray:
     """Covariance of tags' centres in the camera's frame for one pixel of noise at their corners, m^2, `(M, 3, 3)`.
 
-    The covariance is a block of the inverse Fisher information about the tag's pose. A corner at q in the tag's frame
-    is at y = R q + t in the camera's frame. A change (w, v) of the tag's pose, with w in the tag's frame, moves the
-    corner by -R (q x w) + v.
+    The covariance is a block of the inverse Fisher information about the tag's pose. In the camera's frame, a tag has
+    the rotation R (`turns`) and the centre t. A corner at q in the tag's frame is then at y = R q + t. A change (w, v)
+    of the tag's pose, with w in the tag's frame, moves the corner by -R (q x w) + v.
     """
     squares = _squares(edges)
     y = centres[:, None] + squares @ np.swapaxes(turns, 1, 2)  # (M, 4, 3)

@@ -86,7 +86,7 @@ class Flights:
         return cls(seeds, trajectories, np.stack(start))
 
     def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
-        """Make the S flights with the deployment from which `problem` starts.
+        """Make the S flights with the start deployment of `problem`.
 
         If this deployment is random, a new one is drawn for each seed. With `all_visible` every landmark is in view in
         all frames.
@@ -174,11 +174,12 @@ class FlightStudy:
         }
 
     def curves(self) -> pd.DataFrame:
-        """Errors over time, in up to `CURVE_WINDOWS` windows: quantiles over the seeds and the frames of a window.
+        """Quantiles of the errors over time, in up to `CURVE_WINDOWS` windows of time.
 
-        Columns: `deployment`, `estimator`, `time` (s, middle of the window). Each of the errors `error` (Er, see
-        `Errors.frobenius`), `position` (m) and `attitude` (rad) has three columns, with the suffixes `_low`, `_median`
-        and `_high`: the 10, 50 and 90 % quantiles, NaN without an estimate.
+        The quantiles are over the seeds and over the frames in a window. Columns: `deployment`, `estimator`, and `time`
+        (s, middle of the window). There are three errors: `error` (Er, see `Errors.frobenius`), `position` (m) and
+        `attitude` (rad). Each has three columns, with the suffixes `_low`, `_median` and `_high`: the 10, 50 and 90 %
+        quantiles, NaN without an estimate.
         """
         windows = np.array_split(np.arange(len(self.time)), min(CURVE_WINDOWS, len(self.time)))
         time = [float(self.time[window].mean()) for window in windows]
@@ -270,12 +271,12 @@ def _errors(estimators: Mapping[str, Estimator], recording: Recording, start: Fl
 
 
 def to_markdown(figures: pd.DataFrame, n: int) -> str:
-    """Format `FlightStudy.figures` as a Markdown table of medians over the seeds.
+    """Format `FlightStudy.figures` as a Markdown table, with medians of errors and means of fractions over the seeds.
 
     Args:
         figures: one row for each deployment, estimator and seed.
         n: number n of landmarks that the objective requires. The table has the fractions of time with at least n, and
-            with at least 3, landmarks in view, as 3 landmarks determine a pose.
+            with at least 3, detected landmarks, as 3 landmarks determine a pose.
     """
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
     head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]"]

@@ -1,7 +1,7 @@
-"""Acceptance of a map after its tags were hung: stations are chosen, measured, and tested for wrongly hung tags.
+"""Acceptance of a map after its tags were hung: stations are chosen and measured, and wrongly hung tags are found.
 
 A station is a pose of the camera or of the rig's body. At each of S stations a person measures the position with a tape
-measure, and localisation estimates it from one image. A tag that hangs wrongly makes the two differ.
+measure, and localisation estimates it from one image. A tag that hangs wrongly makes the two positions differ.
 
 Let m `(6 K,)` be the errors in position and rotation of the K tags of the map. To first order the differences d
 `(3 S,)` between the estimated and the tape-measured positions are
@@ -16,19 +16,20 @@ In a map without wrong tags (a right map), d has the covariance C = A P A^T + N.
 
 If tag k hangs wrongly by s `(2,)`, right and up in its plane, B_k s is added to the mean of d. B_k `(3 S, 2)` has the
 columns of A for these directions. With the information F_k = B_k^T C^-1 B_k, the estimated shift is s_k = F_k^-1 B_k^T
-C^-1 d, and the likelihood ratio of this hypothesis is T_k = s_k^T F_k s_k. In a right map T_k has a chi-square
+C^-1 d. The likelihood-ratio test of tag k has the statistic T_k = s_k^T F_k s_k. In a right map T_k has a chi-square
 distribution with two degrees of freedom, otherwise a noncentral one with the noncentrality s^T F_k s.
 
 The K tests of the tags share half of the rate of false alarms equally (Bonferroni). The S tests of the stations, d_s^T
 C_ss^-1 d_s with three degrees of freedom, share the other half.
 
-Stations are chosen greedily. A score counts how well the chosen stations reveal each tag: it is the noncentrality if
-the tag hangs wrongly by a given distance in the worst direction, divided by the noncentrality that its test needs, and
-at most 1. Each step adds the station that most raises the sum of the scores of all tags.
+Stations are chosen greedily: each step adds the station that most raises the sum of the scores of all tags. The score
+of a tag tells how well the chosen stations reveal that it hangs wrongly, by a given distance in the worst direction.
+This error gives T_k a noncentrality. The score is this noncentrality divided by the noncentrality with which the test
+is powerful enough, and at most 1.
 
-The scores need F_k, and so A^T C^-1 A, for every candidate. Let G be the sum of A_s^T N_s^-1 A_s over the chosen
-stations, and R = (I + P G)^-1. Then A^T C^-1 A is G R, and station c adds (A_c R)^T (N_c + A_c R P A_c^T)^-1 A_c R to
-this matrix.
+The scores need F_k, and so A^T C^-1 A, for every candidate station. A_s and N_s are the parts of A and N for one
+station s. Let G be the sum of A_s^T N_s^-1 A_s over the chosen stations, and R = (I + P G)^-1. Then A^T C^-1 A is G R,
+and station c adds (A_c R)^T (N_c + A_c R P A_c^T)^-1 A_c R to this matrix.
 """
 
 from dataclasses import dataclass
@@ -123,7 +124,7 @@ class HungMap:
 
     @cached_property
     def limit(self) -> float:
-        """Greatest likelihood ratio T at which a tag passes its test, that is, counts as hung right."""
+        """Greatest test statistic T at which a tag passes its test, that is, counts as hung right."""
         return float(chi2.isf(self.settings.alarm / 2.0 / len(self.tags), 2))
 
     def views(self, stations: FloatArray, read: BoolArray | bool = True) -> tuple[Any, ...]:
@@ -135,14 +136,15 @@ class HungMap:
 
         Returns:
             shown: mask of the tags that are in view and read, `(S, K)`.
-            slopes: Jacobian A_s of the position at each station with respect to the errors of all tags, `(S, 3, 6 K)`.
-            noise: covariance N_s of the position due to the errors of corners and of the tape measure, `(S, 3, 3)`;
-                infinite if the tags in view do not determine a pose.
-            right: covariance of the difference between the estimated and the tape-measured position if no tag hangs
-                wrongly, `(S, 3, 3)`.
-            bounds: bounds that the errors of position (m) and heading (degrees) keep with the probability `BOUND` if no
-                tag hangs wrongly, `(2, S)`. The distribution of the squared position error is approximated by a scaled
-                chi-square distribution of equal mean and variance.
+            slopes: Jacobian A_s of the estimated position at each station with respect to the errors of all tags in the
+                map, `(S, 3, 6 K)`.
+            noise: covariance N_s of the difference between the estimated and the tape-measured position for an exact
+                map, `(S, 3, 3)`; infinite if the tags in view do not determine a pose.
+            right: covariance of this difference for a map with its usual errors, in which no tag hangs wrongly, `(S, 3,
+                3)`.
+            bounds: upper bounds on the errors of position (m) and heading (degrees), `(2, S)`. If no tag hangs wrongly,
+                an error is within its bound with the probability `BOUND`. The distribution of the squared position
+                error is approximated by a scaled chi-square distribution of equal mean and variance.
         """
         scene, settings = self.problem.scene, self.settings
         poses = camera_pose(stations[:, :3], np.radians(stations[:, 3]), settings.pitch)
@@ -212,16 +214,18 @@ class HungMap:
     def _reached(self, information: FloatArray) -> FloatArray:
         """Score of each tag: the noncentrality of its test divided by the noncentrality that the test needs, `(...)`.
 
-        The tag is shifted by `Acceptance.shift` in the worst direction, and the test needs the power
-        `Acceptance.power`. `information` has the Fisher information F about the shift of each tag, `(..., 2, 2)`.
+        The tag is shifted by `Acceptance.shift` in the worst direction. The test must find this shift with the
+        probability `Acceptance.power`. `information` has the Fisher information F about the shift of each tag, `(...,
+        2, 2)`.
         """
         needed = chndtrinc(self.limit, 2, 1.0 - self.settings.power)
         return np.asarray(self.settings.shift**2 / needed * np.linalg.eigvalsh(information)[..., 0])
 
     def _tested(self, slopes: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Fisher information F about the shift of each tag, `(K, 2, 2)`; and the matrix B^T C^-1 of all tags and
-        stations, `(2 K, 3 S)`. `slopes` and `noise` are the matrices A_s `(S, 3, 6 K)` and N_s `(S, 3, 3)` of the
-        stations, see `views`.
+        """Fisher information F about each tag's shift, `(K, 2, 2)`; and the matrix B^T C^-1 of all tags, `(2 K, 3 S)`.
+
+        The module's docstring defines F, B and C. `slopes` and `noise` are the matrices A_s `(S, 3, 6 K)` and N_s `(S,
+        3, 3)` of the stations, see `views`.
         """
         ours = np.concatenate(slopes)
         weighted = np.linalg.solve(ours @ self.spread @ ours.T + block_diag(*noise), ours @ self.along).T
@@ -257,10 +261,10 @@ class HungMap:
 
         Returns:
             files: tables and figures, keyed by the name of their file. `acceptance.csv` has a row for each station:
-                name, zone, error and its bound (m), `chi_square` and its `limit`, `passed`. `acceptance_zones.csv` has
-                the number of stations, mean and largest error (m), `passed`. `acceptance_tags.csv` has the estimated
-                shift of each tag to the `right` and `up` in its plane (m), the likelihood `ratio`, and `named`: true
-                for tags whose shift may explain the differences.
+                name, zone, position error and its bound (m), `chi_square` and its `limit`, `passed`.
+                `acceptance_zones.csv` has the number of stations, mean and largest error (m), `passed`.
+                `acceptance_tags.csv` has the estimated shift of each tag to the `right` and `up` in its plane (m), and
+                the statistic T of its test (`ratio`). Tags whose shift may explain the differences are `named`.
             figures: metrics, with `passed` as 0 or 1.
             text: text for a terminal.
 

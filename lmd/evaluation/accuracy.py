@@ -37,12 +37,14 @@ def as_localisation(objective: Objective) -> Localisation:
 
 
 def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> tuple[FloatArray, FloatArray]:
-    """Predict the standard deviation of the camera's position in each view, metres, `(P, D)` for P positions and D
-    orientations; return these standard deviations, and the probability P_n at each position that a view covers n
-    landmarks, `(P,)`.
+    """Predict the standard deviation of the camera's position in each view, metres, and the probability P_n.
 
     The noise of a corner, and the rule that decides whether a single tag localises the camera, come from the objective,
     or from the default `Localisation`.
+
+    Returns:
+        standard deviations, `(P, D)`, for P positions and D orientations; and the probability P_n at each position that
+        a view covers n landmarks, `(P,)`.
     """
     objective, scene = problem.objective, problem.scene
     of_any = replace(as_localisation(objective), tolerance=np.inf, rotation_tolerance=None)
@@ -58,13 +60,15 @@ def _share_name(tolerance: float) -> str:
 
 
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
-    """Metrics of accuracy: the mean of P_n (the probability that a view covers n landmarks), and for each of
-    `TOLERANCES` the fraction of the views whose predicted error is at most this tolerance. Further metrics are the
-    median and the 90 % quantile of the predicted error over the views, metres.
+    """Metrics of accuracy: shares of views that cover n landmarks or are accurate, and quantiles of the error.
+
+    The first share is the mean over the positions of P_n, the probability that a view covers n landmarks. For each of
+    `TOLERANCES` there is the share of views whose predicted error is at most this tolerance. The quantiles are the
+    median and the 90 % quantile over the views, metres; infinite quantiles are left out. The predicted error is
+    infinite for views that cover fewer than n landmarks, and for ambiguous views of a single tag.
 
     For a recording the views are its poses, weighted by their durations, and `longest_uncovered_seconds` is the longest
-    time without a view of n landmarks. The predicted error is infinite for views that cover fewer than n landmarks, and
-    for ambiguous views of a single tag. Quantiles that are infinite are left out.
+    time without a view of n landmarks.
 
     Args:
         problem: problem with the scene, n, and the noise of a corner.
@@ -95,10 +99,10 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
 
 
 def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment) -> None:
-    """Write a CSV with a row for each grid position. The columns are `x,y,z`, the fraction of localised views for each
-    of `TOLERANCES`, and the median predicted error, metres.
+    """Write a CSV with a row for each grid position.
 
-    An infinite median is an empty cell.
+    The columns are `x,y,z`, the fraction of views with a predicted error of at most each of `TOLERANCES`, and the
+    median predicted error, metres. An infinite median is an empty cell.
     """
     evaluator = problem.evaluator
     errors, _ = predicted_errors(problem, deployment, evaluator)

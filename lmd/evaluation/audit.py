@@ -45,8 +45,10 @@ Verdicts = Callable[[Scene, Deployment, FloatArray, Camera], dict[str, BoolArray
 
 @dataclass(frozen=True)
 class Audit:
-    """Audit of N frames of a survey and the K tags of its map. With C cameras, arrays have C K columns, one for each
-    pair of a camera and a tag; the columns of the first camera come first.
+    """Comparison of the tags that are predicted and detected in N frames of a survey, for the K tags of its map.
+
+    With C cameras, arrays have C K columns, one for each pair of a camera and a tag; the columns of the first camera
+    come first.
     """
 
     prediction: Prediction
@@ -56,8 +58,10 @@ class Audit:
 
     @cached_property
     def expected(self) -> FloatArray:
-        """Probability that each tag is detected in each frame, `(N, C K)`, estimated from all tags with about the same
-        apparent size (pitch); 0 for tags that are not predicted.
+        """Probability that each tag is detected in each frame, `(N, C K)`; 0 for tags that are not predicted.
+
+        The probability is the fraction of detected tags among all predicted tags with about the same apparent size
+        (pitch).
         """
         visible, detected = self.prediction.visible, self.seen.detected
         place = np.searchsorted(PITCHES, self.prediction.pitch, side="right") - 1
@@ -112,8 +116,9 @@ class Audit:
         }
 
     def metrics(self) -> dict[str, float]:
-        """Precision and recall of the predictions, mean number of tags per frame, number of misses, number of misses in
-        a row, and number of tags that stand out.
+        """Precision and recall of the predictions; numbers of tags per frame, of misses, and of tags that stand out.
+
+        A miss is a predicted tag that is not detected; misses in a row are also counted apart.
         """
         visible, detected = self.prediction.visible, self.seen.detected
         precision, recall = precision_recall(visible, detected)
@@ -190,7 +195,7 @@ def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
 
 
 def detections_of_map(survey: Survey) -> list[Matches]:
-    """For each camera, the detections of the map's tags, in those frames whose poses the survey found.
+    """For each camera, the detections of the map's tags in those frames whose poses the survey has estimated.
 
     A detection counts as a sighting of the tag if the RMS reprojection error of its corners is at most
     `CORNER_TOLERANCE`, even if the map treats the detection as an outlier.
@@ -247,12 +252,12 @@ def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Spac
 def _in_images(
     renderer: Renderer, poses: FloatArray, taken: BoolArray, room: Space | None
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Find the M pairs of an image and a tag in view in it.
+    """Find the M pairs of an image and a tag that is in view in this image.
 
     Args:
         renderer: renderer of one camera and the tags.
         poses: poses of the camera in N frames of a survey, `(N, 4, 4)`.
-        taken: mask of the frames in which this camera took an image, `(N,)`; in a rig, a camera may lack some.
+        taken: mask of the frames of which this camera has an image, `(N,)`; a camera of a rig may lack images.
         room: the room; None if unknown.
 
     Returns:

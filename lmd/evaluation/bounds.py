@@ -13,14 +13,15 @@ therefore at most
 
     F(x) = sum_p r_p min(s_p / t, 1),        with t = 1 for the average of P_n (there s_p <= 1 anyway).
 
-F is concave in x >= 0, fractions allowed. The bound uses min(v, 1) = min over 0 <= d <= 1 of 1 - d + d v, once for each
-position (z_p) and once for each axis (d_pa). Let y_pa = d_pa z_p r_p w_a / (n t) and g_j = sum_pa y_pa A_jpa. Then
+F is concave in x >= 0, fractions allowed. The bound has Lagrange multipliers in [0, 1]: z_p for each position, and d_pa
+for each position and axis. Each multiplier bounds one min in F, as min(v, 1) <= 1 - d + d v for 0 <= d <= 1. Let y_pa =
+d_pa z_p r_p w_a / (n t), and let g_j = sum_pa y_pa A_jpa be the gain of a landmark with pose j. Then
 
     F(x) <= sum_p r_p (1 - z_p + z_p / t) - n sum_pa y_pa + sum_j x_j g_j
          <= constant(z, y) + K max_j g_j.
 
-*Any* choice of z and d gives a valid bound. Good choices are slopes of a smoothed min at a good x; x is found by
-accelerated projected ascent. No choice gives a bound below F(x).
+*Any* multipliers z and d give a valid bound, and none gives a bound below F(x). Good multipliers are the slopes of a
+smoothed min(v, 1) at an x with a large F(x), which is found by accelerated projected ascent.
 
 While x is improved, the largest g_j is sought over a grid of poses; at the end it is sought over the whole walls, by
 branch and bound on cells (`lmd.sight.poses`). So the bound holds for every flush deployment.
@@ -37,7 +38,8 @@ A second upper bound follows from submodularity. This bound holds for landmarks 
 compared with the value of the greedy choice.
 
 Greedy selection maximises f, the `selection` of an objective, which is monotone and submodular in the landmarks without
-occlusion. So for *any* set S the best K poses of a grid, each taken once, reach at most
+occlusion. The gain of a landmark at a set S of landmarks is the increase of f if the landmark is added to S. For *any*
+set S the best K poses of a grid, each taken once, reach at most
 
     f(S) + the sum of the K largest gains at S.        (Nemhauser, Wolsey and Fisher 1978)
 
@@ -105,7 +107,7 @@ class Search(Checked):
 
 @dataclass(frozen=True)
 class UpperBound:
-    """Upper bounds on the fitness, fractions in [0, 1], and the multipliers that prove them."""
+    """Upper bounds on the fitness, fractions in [0, 1], and the Lagrange multipliers that prove them."""
 
     walls: float
     """Upper bound on the fitness of all deployments whose landmarks are flush on the walls."""
@@ -149,12 +151,12 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
 
 
 def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
-    """Lower bound on the number of landmarks with which a deployment can reach the fitness `target`.
+    """Number of landmarks below which no deployment reaches the fitness `target`.
 
-    The bound exceeds the number of fixed landmarks. For any multipliers of the bound, the fitness is at most a linear
-    function of the number K of landmarks. The search starts with a K that is too small, and goes to the K at which this
-    function reaches the target. By concavity the new K is again a lower bound. The search ends when the bound on the
-    fitness with K landmarks reaches the target.
+    The number exceeds that of the fixed landmarks. The search increases a number K of landmarks, and stops when the
+    upper bound on the fitness with K landmarks reaches the target. Until then, the Lagrange multipliers of this bound
+    also bound the fitness with any other number of landmarks, by a linear function of this number. The least number at
+    which the function reaches the target is the next K, as no smaller number can suffice.
 
     Raises:
         InputError: even `MOST_LANDMARKS` landmarks do not reach the target, or tags have several sizes.
@@ -170,9 +172,9 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
 
 
 def affordable(problem: Problem, count: int, search: Search) -> Search:
-    """Return `search` with the spacing of the poses chosen so that the search for the bound with `count` landmarks ends
-    within its time limit. The time of the search is estimated from the time of evaluating some poses.
+    """Return `search` with a spacing of the grid of poses at which the search for a bound keeps its time limit.
 
+    The bound is that for `count` landmarks. The time of the search is estimated from the time of evaluating some poses.
     Without a time limit `search` is returned unchanged.
 
     Raises:
@@ -207,7 +209,7 @@ def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
 
 
 class Kind(NamedTuple):
-    """Group of free landmarks that all have one size."""
+    """Landmarks of one size whose poses are to be chosen (free landmarks), and the places where they may hang."""
 
     evaluator: Evaluator
     """Evaluator of the problem's scene, in which all tags have the size of this group."""
@@ -220,8 +222,9 @@ class Kind(NamedTuple):
 
 
 def _free_sizes(problem: Problem, count: int) -> FloatArray:
-    """Edge lengths of the free landmarks among `count` landmarks, metres; 0 for points. Raises `InputError` like
-    `_kinds`.
+    """Edge lengths, metres, of the landmarks among `count` whose poses are to be chosen, not fixed; 0 for points.
+
+    Raises `InputError` if tags have several sizes and `count` is not the problem's number of landmarks.
     """
     if not problem.scene.has_several_sizes:
         return np.full(count - problem.fixed_count, problem.sizes[0])
@@ -231,7 +234,9 @@ def _free_sizes(problem: Problem, count: int) -> FloatArray:
 
 
 def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -> list[Kind]:
-    """Free landmarks among `count` landmarks, grouped by size; cells of the walls are at most `spacing` metres wide.
+    """Group, by size, the landmarks among `count` whose poses are to be chosen, not fixed.
+
+    The walls are divided into cells of at most `spacing` metres.
 
     Raises:
         InputError: tags have several sizes and `count` is not the problem's number of landmarks, so the numbers of each
@@ -246,8 +251,9 @@ def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -
 
 
 def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search) -> UpperBound:
-    """Compute upper bounds on the fitness with `count` landmarks: find multipliers on the grid of poses, then the bound
-    that these multipliers give for the whole walls.
+    """Compute upper bounds on the fitness with `count` landmarks.
+
+    Lagrange multipliers are found on a grid of poses; then the bound that they give for the whole walls is computed.
     """
     kinds, limit = _kinds(problem, relaxation.evaluator, count, search.spacing), search.limit
     free, numbers = count - problem.fixed_count, np.array([kind.number for kind in kinds])
@@ -273,8 +279,9 @@ GUARANTEE, GUARANTEE_OF_SIZES = 1.0 - np.exp(-1.0), 0.5
 
 @dataclass(frozen=True)
 class SelectionBound:
-    """Upper bound on the surrogate (`selection`) that greedy selection maximises in place of the objective, and the
-    value that the greedy choice reaches. Both are gains over the fixed landmarks alone.
+    """Value of the surrogate (`selection`) that the greedy choice reaches, and upper bound on it for all choices.
+
+    Greedy selection maximises the surrogate in place of the objective. Both numbers are gains over the fixed landmarks.
     """
 
     label: str
@@ -295,17 +302,17 @@ class SelectionBound:
 def selection_upper_bound(
     problem: Problem, count: int, spacing: float, limit: TimeLimit | None = None
 ) -> SelectionBound:
-    """Upper bound on the objective's surrogate (`selection`) for `count` landmarks, including fixed landmarks, chosen
-    from a grid of poses.
+    """Upper bound on the objective's surrogate (`selection`) for `count` landmarks, chosen from a grid of poses.
 
-    The surrogate refers to the same poses of the camera as the problem's fitness. The greedy choice keeps footprints
-    apart; the bound also holds for overlapping footprints. The result does not depend on the number of threads.
+    The surrogate refers to the same poses of the camera as the problem's fitness. The greedy choice keeps the areas of
+    the tags on the walls apart; the bound also holds if they overlap. The result does not depend on the number of
+    threads.
 
     Args:
         problem: the problem.
-        count: number of landmarks.
+        count: number of landmarks, including fixed ones.
         spacing: largest distance between neighbouring poses of the grid, metres.
-        limit: time limit, which counts after every pose has been scanned once; None for no limit.
+        limit: time limit; every pose is evaluated once even if this takes longer. None for no limit.
 
     Raises:
         InputError: the objective has no selection, the spacing is not positive, or there are several sizes and `count`
@@ -320,8 +327,10 @@ def selection_upper_bound(
     add_each(selection, problem.fixed_with_edges)
 
     def largest(gains: FloatArray) -> float:
-        """Sum, over all sizes s of the landmarks, of the K_s largest gains of candidates of that size; `gains` has the
-        gains of all candidates.
+        """Sum of the largest gains of candidates of each size, over all sizes.
+
+        As many gains of a size are summed as landmarks of this size are chosen. `gains` has the gains of all
+        candidates.
         """
         counts = zip(*np.unique(sizes, return_counts=True), strict=True)
         return sum(float(np.sort(gains[own == edge])[-number:].sum()) for edge, number in counts)

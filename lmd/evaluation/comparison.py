@@ -32,7 +32,7 @@ MOST_EXACT = 8  # largest size of samples with ties for which all permutations a
 
 @dataclass(frozen=True)
 class OptimiserRun:
-    """Result of one run of an optimiser with a seed."""
+    """Result of one run of an optimiser with one seed: metrics, history, and best deployment."""
 
     optimiser: str
     seed: int
@@ -86,17 +86,17 @@ def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[Optim
 
 
 def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = None) -> Comparison:
-    """Compare optimisers by the metric `key`. Two runs of different optimisers form a pair if they have equal seeds.
+    """Compare optimisers by the metric `key`; the tests pair runs that have equal seeds.
 
-    The table has these columns:
+    The table of the result has these columns:
 
     - `optimiser`, `runs`: name of the optimiser, and number of runs.
     - `<key>`: median of the metric over the runs; `<key>_min` and `<key>_max`: the least and greatest value.
     - `<key>_low` and `<key>_high`: bounds of the median's bootstrap interval.
-    - `rank`: mean rank over the seeds that all optimisers have run.
+    - `rank`: mean rank over the seeds that all optimisers have run; 1 is best.
     - a column for each other metric, and `seconds` for the wall time: medians over the runs.
     - `evaluations_to_<i>`: expected running time to target i, see `Comparison.targets`.
-    - `a12`, `p_value`: effect size, and P-value of the test, of this optimiser against the reference.
+    - `a12`, `p_value`: effect size (see `a12`), and P-value of the test, of this optimiser against the reference.
 
     Args:
         runs: runs of all optimisers.
@@ -136,8 +136,9 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
 
 
 def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
-    """Test each optimiser (a column of `figures`, with a row for each seed) against the optimiser `reference`. Return
-    the P-values, and a text that names the test.
+    """Test each optimiser against the optimiser `reference`; return the P-values, and a text that names the test.
+
+    `figures` has the metric, with a column for each optimiser and a row for each seed.
     """
     others = [name for name in figures if name != reference]
     pairs = [figures[[name, reference]].dropna().to_numpy() for name in others]
@@ -153,8 +154,9 @@ def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
 
 
 def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFrame, str]:
-    """Test each pair of optimisers (columns of `complete`, with a row for each seed). Return the table of P-values, and
-    a text that names the test.
+    """Test each pair of optimisers; return the table of P-values, and a text that names the test.
+
+    `complete` has the metric, with a column for each optimiser and a row for each seed that all have run.
     """
     names, values = list(complete), complete.to_numpy()
     test = (
@@ -171,8 +173,8 @@ def attainable(least: Callable[[int], float], seeds: int) -> str:
     """Sentence that states the least P-value that a test can reach with the given number of seeds.
 
     Args:
-        least: function that returns the least corrected P-value that the test can give for a number of seeds (all seeds
-            then rank the optimisers alike); NaN for too few seeds.
+        least: function of the number of seeds that returns the least corrected P-value of the test; NaN for too few
+            seeds. The P-value is least if all seeds rank the optimisers alike.
         seeds: number of seeds.
     """
     lowest, runs = least(seeds), f"With {seeds} seed{'s' * (seeds != 1)}"
@@ -213,8 +215,10 @@ def _known(value: float, form: str) -> str:
 
 
 def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float:
-    """Expected running time (ERT of COCO): the sum of the evaluations of all runs, each counted until the run reaches
-    `fitness` or ends, divided by the number of runs that reach `fitness`.
+    """Expected running time (ERT of COCO) to `fitness`, in evaluations; infinite if no run reaches this fitness.
+
+    The evaluations of all runs, each counted until the run reaches `fitness` or ends, are summed. The sum is divided by
+    the number of runs that reach `fitness`.
     """
     spent = [min(run.evaluations_to(fitness), run.history[-1].evaluations) for run in runs]
     reached = sum(np.isfinite(run.evaluations_to(fitness)) for run in runs)
@@ -242,8 +246,10 @@ def best_at(runs: Sequence[HasHistory], axis: str, at: FloatArray) -> FloatArray
 
 
 def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
-    """T values of the fitness, `(T,)`, that serve as `targets` of `attained`. The values are evenly spaced from the
-    lowest first finite fitness of a run (excluded) to the best fitness of all runs.
+    """T values of the fitness, `(T,)`, that serve as `targets` of `attained`.
+
+    The values are evenly spaced. The first is above the lowest of the runs' first finite fitness values; the last is
+    the best fitness of all runs.
     """
     low = min(next(r.best_fitness for r in run.history if np.isfinite(r.best_fitness)) for run in runs)
     high = max(run.history[-1].best_fitness for run in runs)
@@ -251,9 +257,11 @@ def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
 
 
 def attained(runs: Sequence[OptimiserRun], axis: str, at: FloatArray, targets: FloatArray) -> FloatArray:
-    """Share of reached targets at N moments of the search, `(N,)`: the fraction of the pairs of a run and one of the
-    `targets` `(T,)` in which the run has reached the target. The moments are the values `at` `(N,)` of the field `axis`
-    of `Record`, such as `evaluations`. The result is an empirical cumulative distribution function.
+    """Share of targets that runs have reached at N moments of the search, `(N,)`.
+
+    All pairs of a run and one of the `targets` `(T,)`, values of the fitness, are counted. The moments are the values
+    `at` `(N,)` of the field `axis` of `Record`, such as `evaluations`. The result is an empirical cumulative
+    distribution function.
     """
     share: FloatArray = (best_at(runs, axis, at)[:, :, None] >= targets).mean(axis=(0, 2))
     return share
@@ -301,8 +309,9 @@ def mean_ranks(values: FloatArray) -> FloatArray:
 
 
 def friedman(values: FloatArray) -> float:
-    """P-value of Friedman's test of the hypothesis that all columns of `values` `(N, K)`, K >= 3, have equal
-    distributions; NaN for fewer than two rows.
+    """P-value of Friedman's test on the columns of `values` `(N, K)`, K >= 3; NaN for fewer than two rows.
+
+    The tested hypothesis is that all columns have equal distributions.
     """
     if len(values) < LEAST_PAIRS:
         return np.nan

@@ -37,9 +37,7 @@ Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 @dataclass(frozen=True)
 class Rendered:
-    """Deployment to be tested: the tags that the model predicts to be seen from random poses, and the detectors that
-    read the images rendered from these poses.
-    """
+    """Deployment to be tested: its predicted sightings from random poses, and the detectors for the rendered images."""
 
     problem: Problem
     """Problem of the deployment."""
@@ -93,8 +91,9 @@ class Rendered:
 
 
 class Frames(NamedTuple):
-    """Consecutive frames of one camera. `first` is the number of the first frame; the noise of a frame depends on the
-    frame's number.
+    """Consecutive frames of one camera, which one process renders and in which it detects tags.
+
+    `first` is the number of the first frame; the noise of a frame depends on the frame's number.
     """
 
     renderer: Renderer

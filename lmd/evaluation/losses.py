@@ -39,9 +39,9 @@ class Losses:
     def table(self) -> dict[str, FloatArray | IntArray]:
         """Columns of a table of the landmarks, `(K,)` each; the landmark with the largest loss comes first.
 
-        The columns are `id`, and `fitness_without` and `fitness_loss` if only this landmark is removed. If landmarks
-        are removed one after the other, each time the one with the least loss, `removed` is the place of the landmark
-        in this order, from 1, and `fitness_left` the fitness after its removal.
+        The columns are `id`, and `fitness_without` and `fitness_loss` if only this landmark is removed. Two columns
+        refer to a removal of landmarks one after the other, each time the one with the least loss. `removed` is the
+        place of the landmark in this order, from 1, and `fitness_left` the fitness after its removal.
         """
         alone = np.diagonal(self.without)
         lost = self.fitness - alone

@@ -52,22 +52,22 @@ class MountedTags:
 def map_errors(
     problem: Problem, truth: MountedTags, maps: Mapping[str, MountedTags], poses: FloatArray, rng: np.random.Generator
 ) -> pd.DataFrame:
-    """Measure the errors of poses estimated from single images; the table has one row for each pose from which at least
-    n tags are seen.
+    """Measure the errors of poses estimated from single images with inaccurate maps.
 
     Args:
         problem: problem with the scene, n, and the noise of a corner. For an objective other than `Localisation`, the
             noise of the default `Localisation` is used.
         truth: K tags with their true poses. The visibility model, which assumes upright tags, decides which tags are
             seen.
-        maps: K tags with the poses that the estimates assume, keyed by the name of the map; all maps are tested with
-            equal noise.
+        maps: maps, keyed by name: the K tags with the poses from which the camera pose is estimated. All maps are
+            tested with equal noise.
         poses: poses of the camera or the rig's body in the world, `(N, 4, 4)`.
         rng: random generator that draws the noise.
 
     Returns:
-        table with `tags`, the number of seen tags. For each map, `position_<name>` (m) and `attitude_<name>` (rad) are
-        the errors of the pose estimated with this map; NaN where the points do not determine a pose.
+        table with a row for each pose from which at least n tags are seen; `tags` is the number of seen tags. For each
+        map, `position_<name>` (m) and `attitude_<name>` (rad) are the errors of the pose estimated with this map; NaN
+        where the points do not determine a pose.
     """
     scene, tag = problem.scene, problem.scene.tag
     points, body = truth.points(tag), (scene.cameras, scene.extrinsics)

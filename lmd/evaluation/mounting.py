@@ -1,8 +1,8 @@
 """Metrics of a deployment whose tags have random mounting errors, or whose tags were measured after mounting.
 
-In every draw all tags have independent errors. A draw is evaluated like any deployment, on the grid and at random
-positions. Then camera poses are estimated from single images, once with the map of the planned tags and once with the
-map of the mounted tags, which a survey would give.
+In every draw all tags have independent errors. The metrics of a draw are computed on the grid and at random positions.
+Then camera poses are estimated from single images, once with the map of the planned tags and once with the map of the
+mounted tags, which a survey would give.
 """
 
 from dataclasses import dataclass, replace
@@ -202,7 +202,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
 
 
 def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
-    """Table of the metrics on the grid and off it, with a row for each deployment of K landmarks."""
+    """Table of the metrics on the grid, and off the grid (at random positions), with a row for each deployment."""
     on_grid = pd.DataFrame([problem.metrics(each) for each in deployments])
     return pd.concat([on_grid, off_grid_figures(problem, deployments, seed, sample)], axis=1)
 
@@ -210,8 +210,8 @@ def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample:
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
     """Table of the objective's shares (`Objective.shares`) off the grid, with a row for each deployment of K landmarks.
 
-    A share is a metric that is a mean over positions. Here the means are over one sample of random positions, but an
-    objective with its own validation (`SelfValidating`) computes its shares itself.
+    A share is a metric that is a mean over positions. Here the means are over one sample of random positions. An
+    objective with its own validation (`SelfValidating`) computes the shares by its own method.
     """
     objective = problem.objective
     if isinstance(objective, SelfValidating):
@@ -229,10 +229,10 @@ MEASURED_STREAM = 0x737572766579  # separates the random numbers of the noise fr
 
 
 def read_measured(path: str | Path, problem: Problem, plan: Deployment, **table: Any) -> Deployment:
-    """Read the measured poses of the tags of a plan; they are returned in the plan's order and with its labels.
+    """Read the measured poses of the tags of a plan; return the tags in the plan's order and with the plan's labels.
 
     Measured poses are not corrected: tags need not be flush, and footprints may seem to overlap. Tags need not be on a
-    surface if the plan was read as free (`FileDeployment.free`).
+    surface if the plan was read without this requirement (`FileDeployment.free`).
 
     Args:
         path: CSV with the columns of a plan, or a tag map.
@@ -307,16 +307,17 @@ def as_measured(
     sample: Sample = SAMPLE,
     views: int = RANDOM_VIEWS,
 ) -> Measured:
-    """Compute the metrics of a deployment with the tags as measured and as planned. Results do not depend on the number
-    of threads.
+    """Compute the metrics of a deployment with the tags as measured and as planned.
+
+    Results do not depend on the number of threads.
 
     Args:
         problem: problem with the scene and the objective.
         plan: K landmarks.
         measured: landmarks of the plan with their measured poses.
         seed: seed of the random positions and the views.
-        sample: random positions off the grid.
-        views: number of random views.
+        sample: size of the sample of random positions, for the metrics off the grid.
+        views: number of random views, for the errors of camera poses.
     """
     both = {"planned": plan, "measured": measured}
     figures = _figures(problem, list(both.values()), seed, sample).set_axis(list(both)).T.rename_axis("figure")

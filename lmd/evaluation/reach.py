@@ -148,9 +148,10 @@ class Reading(Checked):
 
 
 def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> str:
-    """Text with several tables. For each size of the tag, a table has the range of distances at which the tag is read,
-    and the errors of the pose estimated from this tag. The last table has the edge length of the smallest tag that is
-    read.
+    """Text with tables of the range and pose error of each size of the tag, and of the smallest tag that is read.
+
+    For each size, a table has the range of distances at which the tag is read, and the errors of the pose estimated
+    from this tag. The last table has the edge length of the smallest tag that is read.
     """
     tags = [tag.of_size(edge) for edge in tag.sizes]
     lines = [
@@ -207,6 +208,6 @@ def _edges(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> li
 
 
 def _columns(rows: list[list[str]]) -> list[str]:
-    """Lines of text of a table, with aligned columns."""
+    """Lines of text, one for each row of the table `rows`, with aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["   ".join(f"{text:<{width}}" for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]

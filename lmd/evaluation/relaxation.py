@@ -1,5 +1,6 @@
-"""Concave relaxation F of an objective, the search for multipliers that give an upper bound on F, and a bound on the
-largest gain of a landmark on the walls.
+"""Concave relaxation F of an objective, and Lagrange multipliers that give an upper bound on F.
+
+Another bound is on the largest gain of a landmark on the walls, that is, on its contribution to the first bound.
 
 An interrupted search still gives a valid bound. `lmd.evaluation.bounds` defines the symbols and derives the bound.
 """
@@ -73,7 +74,7 @@ BATCH_SHARE = 0.05  # share of the remaining time for each batch
 
 
 class Dual(NamedTuple):
-    """Multipliers for the bound; any choice of multipliers gives a valid bound."""
+    """Lagrange multipliers for an upper bound on the relaxation F; any choice of multipliers gives a valid bound."""
 
     constant: float
     """Part of the bound that does not depend on the number of free landmarks, constant(z, y) in
@@ -83,8 +84,9 @@ class Dual(NamedTuple):
     """Multipliers y, `(P, D)` for P positions and D axes."""
 
     def bound(self, count: int, gain: float) -> float:
-        """Upper bound on the fitness with `count` free landmarks, if no landmark has a gain above `gain`; the bound is
-        at most 1.
+        """Upper bound on the fitness with `count` landmarks to be chosen besides fixed ones; at most 1.
+
+        `gain` is an upper bound on the gain of a landmark, its contribution to the bound.
         """
         return min(self.constant + count * gain, 1.0)
 
@@ -123,10 +125,11 @@ class Relaxation:
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
 
     def smoothed(self, added: FloatArray, width: float) -> tuple[float, Dual]:
-        """Value of F with smoothed kinks, and multipliers from the slopes of the smoothed F. The `prices` of the
-        multipliers are the gradient of the smoothed F with respect to the numbers c of covered landmarks. `added`
-        `(P, D)` has the numbers of free landmarks that are covered at each position and axis; `width` is the half-width
-        of the smoothing, see `smoothed_min`.
+        """Value of F with a smoothed min(v, 1), and Lagrange multipliers, which are the slopes of the smoothed min.
+
+        The `prices` of the multipliers are the gradient of the smoothed F with respect to the numbers c of covered
+        landmarks. `added` `(P, D)` has the numbers of free landmarks that are covered at each position and axis;
+        `width` is the half-width of the smoothing, see `smoothed_min`.
         """
         by_axis, slope = smoothed_min((added + self.fixed_coverage) / self.n, width)
         by_position, z = smoothed_min(averaged(by_axis, self.weights) / self.threshold, width)
@@ -155,7 +158,7 @@ def nearest_on_simplex(v: FloatArray, total: float) -> FloatArray:
 def solve(
     relaxation: Relaxation, kinds: Sequence[tuple[Deployment, int]], iterations: int, tolerance: float, limit: TimeLimit
 ) -> tuple[Dual, float, float]:
-    """Find the multipliers of an upper bound on F by accelerated projected ascent of F.
+    """Find the Lagrange multipliers of a low upper bound on F by accelerated projected ascent of F.
 
     Args:
         relaxation: relaxation F.
@@ -219,13 +222,14 @@ def largest_gain(
 ) -> float:
     """Upper bound on the gain of a flush landmark anywhere in the given cells of the walls, by branch and bound.
 
-    The gain of a landmark is the sum of the multipliers y over the positions and axes at which it is covered.
+    The gain of a landmark is its contribution to an upper bound on the fitness. The contribution is the sum of the
+    Lagrange multipliers y over the positions and axes at which the landmark is covered.
 
     Args:
         evaluator: scene with landmarks of one size.
         cells: pieces of wall.
         prices: multipliers y, `(P, D)`, not negative.
-        tolerance: the search stops when the bound exceeds the largest gain found by at most this number.
+        tolerance: the search stops when its result exceeds the largest gain found by at most this number.
         limit: time limit; None for no limit.
     """
     limit, began = limit or TimeLimit(), clock()

@@ -30,7 +30,7 @@ CORNERS_STREAM = 0x636F726E  # separates the random numbers of these frames from
 
 
 def imaging_of(problem: Problem) -> Imaging:
-    """Settings for rendered images, with the blur that the visibility model assumes."""
+    """Settings for rendering images, with the blur that the problem's visibility model assumes."""
     blur = {name: getattr(problem.scene.visibility, name, None) for name in ("psf_sigma", "motion_blur")}
     return Imaging(texture=TEXTURE, **{name: value for name, value in blur.items() if value is not None})
 

@@ -1,13 +1,15 @@
 """Sensitivity of the metrics of a deployment to the assumptions on noise, tags, and detection.
 
-All variants are measured off the grid, at equal random positions and orientations (`lmd.evaluation.validation`), so
-they differ only in the assumption. For any objective there are two metrics, the means of L and of P_n. L is the
-probability that a view localises the camera to the tolerance, P_n the probability that a view covers n landmarks.
+A variant is the problem with another value of one assumption. All variants are measured off the grid, at equal random
+positions and orientations (`lmd.evaluation.validation`), so their metrics differ only because of the assumption. For
+any objective there are two metrics, the means of L and of P_n over the positions. L is the probability that a view
+localises the camera to the tolerance, P_n the probability that a view covers n landmarks.
 
 The landmarks in each image are found once; those that are missed or lost are then removed.
 
 For a single camera, the metrics are computed from the bit sets of a compiled field (the incremental evaluator of the
-objective), and the mean of P_n is exact. For a rig, a random draw decides which landmarks are missed.
+objective). The mean of P_n with missed landmarks is then exact, from the binomial distribution. For a rig, a random
+draw decides which landmarks are missed.
 """
 
 from collections.abc import Sequence
@@ -45,7 +47,7 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 @dataclass(frozen=True)
 class RigViews:
-    """Views of a rig, each from one pose of its body, and the conditions under which the rig is localised."""
+    """Views of a rig from poses of its body, and the conditions on which a view localises the rig."""
 
     evaluator: Evaluator
     deployment: Deployment
@@ -74,15 +76,18 @@ class RigViews:
         return np.stack([found, covers(seen, self.n)])
 
     def without_cameras(self) -> FloatArray:
-        """Fractions of localised views and of views that cover n landmarks, `(C, 2)`, if one of the C cameras fails."""
+        """Fractions of localised views (column 0) and of views that cover n landmarks (column 1), `(C, 2)`.
+
+        In each row, one of the C cameras fails.
+        """
         seen, others = self.images.seen, ~np.eye(len(self.images.seen), dtype=bool)[..., None, None]
         return np.array([self.decided(self.images, seen & left) @ self.share for left in others])
 
     def missed(self, probabilities: Sequence[float], rng: np.random.Generator) -> FloatArray:
-        """Fractions of localised views and of views that cover n landmarks, `(M, 2)`, if landmarks are missed.
+        """Fractions of localised views (column 0) and of views that cover n landmarks (column 1), `(M, 2)`.
 
-        Each landmark in an image is missed with one of M `probabilities`. All probabilities share the draw, so that a
-        landmark missed at one probability is missed at all greater probabilities.
+        In each row, landmarks in an image are missed with one of M `probabilities`. All rows share the random draw, so
+        that a landmark missed at one probability is missed at all greater probabilities.
         """
         seen = self.images.seen
         draw = rng.random(seen.shape, dtype=np.float32)
@@ -98,9 +103,10 @@ class RigViews:
         whole, count = self.decided(self.images, seen).astype(np.float64), seen.shape[2]
 
         def lose(*landmarks: int) -> FloatArray:
-            """Contribution of each view to the change of both fractions if all of `landmarks` are lost, `(2, N)`.
+            """Change of both fractions that each view causes if all of `landmarks` are lost, `(2, N)`.
 
-            The change is 0 in views that do not show all of `landmarks`.
+            The fractions are those of localised views and of views that cover n landmarks. The change is 0 in views
+            that do not show all of `landmarks`.
             """
             which: BoolArray = np.asarray(shown[:, landmarks].all(axis=1))
             left = seen[:, which]
@@ -149,7 +155,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Shares of localised and of covered views, in [0, 1], under other assumptions than those of the problem."""
+    """Shares of views that localise the camera and of views that cover n landmarks, under changed assumptions."""
 
     assumptions: pd.DataFrame
     """Table with the columns `assumption,factor,value,localised_share,covered_share,note`; the shares are NaN in rows
@@ -233,8 +239,8 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
     """Make the table `Sensitivity.cameras` of the failures of a rig's cameras.
 
-    The columns of both arguments are the fractions of localised views and of views that cover n landmarks: in `failed`
-    `(C, 2)` if one of C cameras fails, in `whole` `(2,)` with all cameras.
+    Both arguments have the fraction of localised views, and then that of views that cover n landmarks. `failed` `(C,
+    2)` has a row for the failure of each of C cameras, and `whole` `(2,)` is for all cameras.
     """
     table = pd.DataFrame(failed, columns=SHARE_COLUMNS).rename_axis("camera").reset_index()
     return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
@@ -273,9 +279,10 @@ def _measure(
     """Measure the fractions of localised views and of views that cover n landmarks, in one group of random poses.
 
     Returns:
-        four arrays of these two fractions. The first has the fractions for each of V variants, `(V, 2)`; the second,
-        for each of M probabilities of missing a landmark, `(M, 2)`; the third, for the loss of landmarks i and j, `(2,
-        K, K)`; the fourth, for the failure of each of C cameras of a rig, `(C, 2)`, where C = 0 for a single camera.
+        variants: the two fractions for each of V variants, `(V, 2)`.
+        missed: the two fractions for each of M probabilities of missing a landmark, `(M, 2)`.
+        lost: the two fractions if landmarks i and j are lost, `(2, K, K)`.
+        failed: the two fractions if one of C cameras of a rig fails, `(C, 2)`; C = 0 for a single camera.
     """
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])
@@ -296,7 +303,7 @@ def _measure(
 def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
     """Fractions of localised views and of views that cover n landmarks, for one variant of the problem.
 
-    The views are those of the evaluator. The fractions are NaN if the variant has a note.
+    The views are those of the evaluator. If the variant has a note, its tags do not fit, and the fractions are NaN.
     """
     if variant.note:
         return np.nan, np.nan

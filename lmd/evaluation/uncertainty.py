@@ -81,8 +81,7 @@ class UncertaintyStudy(Checked):
         return name if name in CORNER_ERRORS else OBJECTIVE
 
     def errors(self, problem: Problem, deployment: Deployment, seed: int) -> tuple[TagErrors, str]:
-        """Errors of the tag corners in images, with the errors of the map set to zero; and a text about the source of
-        the corner errors.
+        """Errors of the tag corners, for tags without errors in the map; and a text about the source of the errors.
 
         Raises:
             InputError: corners must be measured in rendered images, but the detector is unknown or finds too few tags.
@@ -96,8 +95,9 @@ class UncertaintyStudy(Checked):
     def _noise(
         self, problem: Problem, deployment: Deployment, reader: str, seed: int
     ) -> tuple[CornerErrors | MeasuredCorners | float, str]:
-        """Noise of the tag corners: a table of a detector, measurements in rendered images, or one number, pixels; and
-        a text about its source.
+        """Noise of the tag corners, and a text about its source.
+
+        The noise is a table of a detector, measurements in rendered images, or one number, pixels.
         """
         why = ""
         if self.corners == RENDERED or (self.corners == AUTO and reader != OBJECTIVE):
@@ -116,7 +116,7 @@ class UncertaintyStudy(Checked):
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard deviations of the pose in V views of K tags."""
+    """Standard deviations of the camera pose as estimated in each of V views of K tags."""
 
     views: "pd.DataFrame"
     """Table with a row for each view. The columns are `x,y,z` (m), `yaw,pitch,roll` (rad), `tags` (their number),
@@ -198,8 +198,7 @@ def uncertainty(
 
 
 def level_deviations(covariances: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Convert covariances of pose errors to the standard deviations `SDS` of V views, `(V, 6)`; NaN for infinite
-    covariances.
+    """Standard deviations `SDS` (x, y, z, roll, pitch, yaw) of the pose in V views, `(V, 6)`; NaN without a pose.
 
     Args:
         covariances: covariances of position and rotation, world frame, m^2 and rad^2, `(V, 6, 6)`; infinite if there is

@@ -34,7 +34,10 @@ AMBIGUOUS = 0.5  # share of ambiguous views above which a single tag is out of r
 
 @dataclass(frozen=True)
 class UncertaintyLaw:
-    """Formulas ("laws") for the standard deviations of a pose that is unambiguous, fitted to random views."""
+    """Formulas ("laws") for the standard deviations of a pose, given the distance and number of tags in view.
+
+    The laws are fitted to those random views in which the pose is unambiguous.
+    """
 
     laws: Mapping[str, Law]
     """Fitted formula for each standard deviation in `QUANTITIES`."""
@@ -57,7 +60,7 @@ class UncertaintyLaw:
     """
 
     def document(self) -> dict[str, Any]:
-        """The laws, the rules, and the errors of both, as a document for JSON."""
+        """Laws, rules (simpler formulas in common use), and the errors of both, as a document for JSON."""
         errors = {
             quantity: {row["rule"]: {k: v for k, v in row.items() if k not in ("quantity", "rule")} for row in rows}
             for quantity, rows in ((q, self.errors[self.errors.quantity == q].to_dict("records")) for q in QUANTITIES)
@@ -100,8 +103,9 @@ class UncertaintyLaw:
 
 
 def per_axis(views: "pd.DataFrame") -> dict[str, FloatArray]:
-    """Standard deviations of position and rotation per axis, keyed by `QUANTITIES`, for the V views in the table
-    `Uncertainty.views`, `(V,)` each: the root mean square over the axes.
+    """Standard deviations of position, rotation and parts of both in V views, keyed by `QUANTITIES`, `(V,)` each.
+
+    Standard deviations are root mean squares over the axes. `views` is the table `Uncertainty.views`.
     """
 
     def rms(*names: str) -> FloatArray:
@@ -134,14 +138,14 @@ def uncertainty_law(found: Uncertainty) -> UncertaintyLaw:
 
 
 def _steps(distance: FloatArray) -> FloatArray:
-    """Edges of the bins into which the given distances of views, metres, are divided."""
+    """Edges, metres, of equally wide bins that cover all of the given distances."""
     farthest = float(distance.max())
     step = next((each for each in STEPS if farthest / each <= MOST_STEPS), farthest / MOST_STEPS)
     return np.arange(np.ceil(farthest / step) + 1.0) * step
 
 
 def _table(found: Uncertainty) -> "pd.DataFrame":
-    """Standard deviations in bins of distance and number of tags, as the table `UncertaintyLaw.table`."""
+    """Make the table `UncertaintyLaw.table`: standard deviations of poses in bins of distance and number of tags."""
     import pandas as pd
 
     seen = found.views[found.views.pose != NONE]

@@ -4,8 +4,9 @@ A position is qualified if the value of the objective there reaches a threshold.
 the threshold, but only at the positions and orientations of its grid. So the qualified ratio, the fraction of qualified
 positions, is biased upwards on this grid. Three metrics use other positions and orientations:
 
-- the qualified ratio on a finer grid, with half the spacing and half the step of the orientations. This ratio is not
-  estimated from a sample, so it has no standard error.
+- the qualified ratio on a finer grid, with half the spacing and half the step of the orientations. This ratio has a
+  standard error only if the grid is too large for a model without compiled code, so that a sample of its positions is
+  taken.
 - the grid-free qualified ratio: at random positions, spread evenly over the reachable box, with orientations drawn from
   the continuous distribution that the PDF represents.
 - the grid-free average coverage probability, over the random poses of the same sample.
@@ -60,9 +61,11 @@ class Sample(Checked):
 
     The positions of a group are spread evenly, from a random shift. All positions of a group have the same
     orientations: one in each of 2 `divisions` x `divisions` cells of equal probability, fewer for a PDF of the yaw
-    alone. With thousands of orientations the coverage probability P_n is unbiased, and its noise lifts as many
-    positions above the threshold of qualified positions as it drops below. Each group has its own shift and
-    orientations, so errors average out, and the differences between groups give the standard error.
+    alone. Each group has its own shift and orientations, so errors average out, and the differences between groups give
+    the standard error.
+
+    The estimate of the coverage probability P_n is unbiased. With thousands of orientations, its noise lifts as many
+    positions above the threshold of qualified positions as it drops below.
 
     Raises:
         InputError: a number is too small.
@@ -180,10 +183,10 @@ def sampled_values(
 
 
 def affordable_positions(scene: Scene, count: int) -> float:
-    """Number of positions at which `count` landmarks are evaluated in a few seconds; infinite if the visibility model
-    has compiled code.
+    """Number of positions at which `count` landmarks can be evaluated within a few seconds.
 
-    With a crowd, the time of an evaluation is multiplied by the number of crowd states.
+    The number is infinite if the visibility model has compiled code. With a crowd, the time of an evaluation is
+    multiplied by the number of crowd states.
     """
     if scene.is_compiled:
         return math.inf
@@ -265,8 +268,8 @@ def recorded_evaluators(
 ) -> Iterator[Evaluator]:
     """Yield an evaluator for each group of up to 64 recorded poses.
 
-    The evaluator's bit masks consist of words of 64 bits. At each recorded position, the recorded orientation has the
-    probability 1.
+    The evaluator has a bit for each orientation, in words of 64 bits; a group fills one word. At each recorded
+    position, the recorded orientation has the probability 1.
 
     Args:
         problem: problem with the scene.
@@ -285,9 +288,9 @@ def recorded_evaluators(
 
 
 def _share_and_error(values: FloatArray, records: "Records") -> tuple[float, float | None]:
-    """Mean of `values`, one for each recorded pose, over the recorded time; and the standard error of this mean.
+    """Mean of `values` over the recorded time, and its standard error; None as error for a single block of time.
 
-    The error is computed from the residuals of blocks of time; it is None for a single block.
+    `values` has a number for each recorded pose. The error is computed from the residuals of blocks of time.
     """
     seconds, good = records.seconds, records.seconds * values
     share = good.sum() / seconds.sum()

@@ -1,8 +1,9 @@
-"""Verdicts of a visibility model on its criteria one by one: the landmarks that meet each criterion in a given camera
-pose, and the share of landmarks that meet each criterion in random poses.
+"""Verdicts of a visibility model on its criteria one by one, and metrics of the criteria.
 
-A landmark is covered if it meets every criterion at the same time. Two metrics describe a criterion: the share of
-landmarks that meet it, and the share of landmarks that would be covered if this criterion were dropped.
+Verdicts tell which landmarks meet each criterion in a given camera pose.
+
+A landmark is covered if it meets every criterion at the same time. Two metrics describe a criterion, over random poses:
+the share of landmarks that meet it, and the share of landmarks that would be covered if this criterion were dropped.
 """
 
 from collections.abc import Mapping
@@ -29,8 +30,9 @@ def verdicts(
     camera: Camera | None = None,
     states: IntArray | None = None,
 ) -> dict[str, BoolArray]:
-    """For each criterion of the scene's visibility model, keyed by name, a mask of the landmarks that meet it in N
-    poses, `(N, K)`; empty if the model has no verdicts.
+    """For each criterion of the scene's visibility model, a mask of the landmarks that meet it in N poses, `(N, K)`.
+
+    The masks are keyed by the name of the criterion. The result is empty if the model has no method `verdicts`.
 
     Args:
         scene: the scene.

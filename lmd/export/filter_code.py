@@ -2,8 +2,9 @@
 
 WPILib's pose estimators take the standard deviations of a measurement's x [m], y [m] and heading [rad], by
 `setVisionMeasurementStdDevs` or with each `addVisionMeasurement`. The class computes these numbers. The class also has
-constants for two common formulas: those of PhotonVision's examples, and the baseline of AdvantageKit's template, which
-multiplies it by d^2 / n (mean distance d of n tags). Limelight publishes standard deviations and accepts none.
+constants for two common formulas. With n tags at the mean distance d, PhotonVision's example multiplies its constants
+by 1 + d^2 / 30, and AdvantageKit's template multiplies its constants by d^2 / n. There are no constants for Limelight,
+which publishes standard deviations of its own and accepts none.
 """
 
 from collections.abc import Mapping
@@ -19,7 +20,11 @@ CLASS = "VisionUncertainty"
 
 @dataclass(frozen=True)
 class FilterLaws:
-    """Uncertainty laws (see `lmd.estimation.deviation_law`) for which code is written."""
+    """Uncertainty laws for which code is written.
+
+    A law gives the standard deviation of a measured pose as a function of the distance and the number of the tags in
+    view (`lmd.estimation.deviation_law`).
+    """
 
     laws: Mapping[str, Law]
     """Laws for the standard deviations of the position (`horizontal`, `vertical`) and of the rotation (`tilt`,
@@ -54,7 +59,7 @@ def _row(law: PowerLaw) -> str:
 
 
 def java(laws: FilterLaws) -> str:
-    """Text of a Java class for WPILib that computes the standard deviations by the given `laws`."""
+    """Text of a Java class for WPILib that computes the standard deviations of measured poses by the given `laws`."""
     h, t = laws.laws["horizontal"], laws.laws["heading"]
     squared, photon = laws.rules["squared"], laws.rules["photonvision"]
     reach = "Double.POSITIVE_INFINITY" if np.isinf(laws.reach) else _number(laws.reach)

@@ -213,11 +213,12 @@ def _write_along(
     bold: bool = False,
     needed: bool = True,
 ) -> None:
-    """Write a text beside a line with the ends `ends` `(2, 2)`, mm, on the side to which `way` points.
+    """Write a text beside a line with the ends `ends` `(2, 2)`, mm, on the side to which the unit vector `way` points.
 
-    The text is at the distance `away` from the line, mm, and parallel to it, or horizontal if the line is too short. If
-    it would overlap a shape in `taken`, the text is shifted; after a long shift, a thin line connects text and line. A
-    text that finds no free space nearby is left out, unless `needed` is True. The box of the text is added to `taken`.
+    The text is at the distance `away` from the line, mm. The text is parallel to the line, or horizontal if the line is
+    too short. A text that would overlap a shape in `taken` is shifted; after a long shift, a thin line connects text
+    and line. A text without free space nearby is left out, unless `needed` is True. The box of the text is added to
+    `taken`.
     """
     import shapely
 

@@ -182,9 +182,9 @@ def layout(tag: Tag, paper: str) -> Layout:
 
 
 def largest_whole(tag: Tag, paper: str) -> float:
-    """Largest edge length, metres, at which a tag still fits on one sheet of the size `paper`.
+    """Largest edge length, metres, to which `tag` can be scaled and still fits on one sheet of the size `paper`.
 
-    The margins of the tag are in proportion to its edge length, as those of `tag`.
+    The margins are scaled in proportion to the edge length.
     """
     low, high = 0.0, max(PAPERS[paper]) / MM_PER_M
     while high - low > ROUNDING:

@@ -120,7 +120,7 @@ def _write_label(canvas: Any, text: str, x: float, top: float, size: float, righ
 def _draw_cuts(canvas: Any, page: tuple[float, float], xs: Iterable[float], ys: Iterable[float]) -> None:
     """Draw cutting marks for vertical cuts at `xs` and horizontal cuts at `ys`, mm.
 
-    The marks are beyond the two ends of each cut, or on the cut if the sheet ends there.
+    Each cut has a mark beyond each of its ends. A mark for which the sheet has no space there is on the cut itself.
     """
     away = MARK_GAP + MARK
     lefts, rights = max(min(xs) - away, MARGIN), min(max(xs) + away, page[0] - MARGIN)

@@ -17,8 +17,8 @@ TABLE = Table((8.0, 13.0, 10.0, 10.0, 10.0, 14.0, 13.0, *6 * (13.0,)), (HEAD_ROW
 def write_stations(path: Path, tags: TagMap, stations: pd.DataFrame) -> None:
     """Write a PDF for the acceptance of a hung map: a floor plan with the stations, and a table to fill in.
 
-    At a station, a pose of the camera, its position is measured by tape and compared with the position that the robot's
-    software reports.
+    A station is a pose in which the camera is placed. The camera's position is then measured by tape, and compared with
+    the position that the robot's software reports.
 
     Args:
         path: path of the file.

@@ -43,7 +43,7 @@ SHOWN = 120  # maximum number of characters of a library's reason that a message
 
 
 class Message(NamedTuple):
-    """Message in a bag, a file of recorded messages of ROS."""
+    """Message in a bag (a file of recorded messages of ROS): its time, time of recording, and serialised content."""
 
     stamp: str
     """Time in the header, seconds with nine decimals; time of recording if the header has no time."""

@@ -40,7 +40,7 @@ class Calibration(Checked):
 
     Args:
         image_width, image_height: width w and height h of the image.
-        focal_pixels: focal lengths (f / s_u, f / s_v).
+        focal_pixels: focal lengths (f / s_u, f / s_v), for the focal length f and pixels of the sides s_u and s_v.
         principal_point: principal point (c_x, c_y), counted from the centre of the first pixel as in OpenCV.
         distortion, distortion_model: coefficients and model of the lens, see `lmd.geometry.lens.Lens`.
         image_circle: diameter of the image circle, pixels; infinite if the file has none.
@@ -167,7 +167,10 @@ class CalibrationFile(File):
 
 
 class ReadCamera(NamedTuple):
-    """Camera of a file: two functions, which interpret its values only when they are called."""
+    """Camera in a file, as two functions: one returns its `Calibration`, the other returns its poses.
+
+    The file's values are interpreted only when a function is called.
+    """
 
     calibration: Callable[[], Calibration]
     """Function that returns the calibration."""
@@ -211,9 +214,10 @@ def read_calibration(
     image_size: Iterable[int] | None = None,
     distortion_model: str | None = None,
 ) -> Calibration:
-    """Read a calibration in one of the formats of `tables/calibration.yaml`.
+    """Read the calibration of one camera from a file in a format of `tables/calibration.yaml`.
 
     Args:
+        path: path of the file.
         name: name of the camera in a file with several cameras, such as Kalibr's `cam1`; not needed for a single
             camera. With `image_size`, the part before `/` suffices for names such as `color/1280x720`.
         image_size: width and height, pixels; needed if the file lacks the size.

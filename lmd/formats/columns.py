@@ -76,7 +76,7 @@ VOCABULARY = {
 
 
 class Layout(NamedTuple):
-    """Columns of a text file, in their order, and facts about the program that writes files with these columns."""
+    """Columns of a text file in their order, and properties of the program that writes such files."""
 
     name: str
     """Name of the program, as in the argument `columns`; empty if a file or the user names the columns."""
@@ -285,8 +285,9 @@ def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
 def _commented(lines: Lines, of: str) -> Layout | None:
     """Layout of the columns, from the last comment that names columns; None if no comment does.
 
-    A comment names the columns in three cases. The comment has the names of a pose's columns; has as many words as a
-    line has values; or begins with the columns of a tag's number and position.
+    A comment names the columns in three cases. The comment has x and the names of a rotation (a quaternion, or roll,
+    pitch and yaw). Or the comment begins with a tag's id and three more known names. Or the comment has one word for
+    each value of a line, and the words look like names.
 
     Raises:
         InputError: a comment names more columns than the first line has values.

@@ -44,7 +44,7 @@ DEEPEST = 3  # maximum number of levels of names and lists around results in JSO
 
 
 class SeenTag(NamedTuple):
-    """Detection of one tag in one image, as a file states it."""
+    """Detection of one tag in one image, as a file states it: camera, time, and the tag's id, corners and family."""
 
     camera: str
     """Name of the camera; empty if there is a single camera."""

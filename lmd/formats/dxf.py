@@ -38,8 +38,8 @@ def read_drawing(file: File) -> ReadPlan:
     """Read the room in a drawing, in the frame of the drawing.
 
     Args:
-        file: drawing; its attribute `asked` has the settings `layers`, `unit`, `gap`, `tolerance` and `start` of
-            `lmd.formats.plans.Reading`.
+        file: drawing; its attribute `asked`, a mapping of the user's settings, has the keys `layers`, `unit`, `gap`,
+            `tolerance` and `start`, see `lmd.formats.plans.Reading`.
 
     Raises:
         InputError: the file cannot be read, a layer or the unit is unknown, or the walls enclose no room.
@@ -130,12 +130,12 @@ def _shapes(
 ) -> Iterator[tuple[str, str, Any]]:
     """Yield kind, layer name and entity of each shape in a drawing, including the shapes in blocks.
 
-    The kind is `line`, `door` or `window`, or `hidden` for a shape that CAD programs do not show. If the layer of a
-    block is frozen, all shapes of the block are hidden; if it is off, only those on layer 0 are.
+    The kind is `line`, `door` or `window`, or `hidden` for a shape that CAD programs do not show. A block, which is a
+    group of entities, has a layer, too. If this layer is frozen, all shapes of the block are hidden; if this layer is
+    off, only the block's shapes on layer 0 are hidden.
 
     The counter `number` advances with each entity; more than `MOST_ENTITIES` are refused. The arguments from `kind` on
-    are those of the block that contains the entities: its kind, its layer, True if it is shown, and its depth of
-    nesting.
+    describe the block that contains the entities: kind, layer, True if the block is shown, and depth of nesting.
     """
     bounded("nested blocks", depth, DEEPEST, source, "path")
     for entity in entities:
@@ -154,7 +154,8 @@ def _shapes(
 def _flattened(entity: Any, tolerance: float, source: str, number: Iterator[int]) -> FloatArray:
     """Vertices of the polyline that approximates a shape, `(N, 2)`, in the unit of the drawing.
 
-    A shape without a path, such as a mesh, has no vertices. The counter `number` limits the vertices of all shapes.
+    A shape without a path, such as a mesh, has no vertices. `tolerance` is the maximum distance between shape and
+    polyline, in the same unit. The counter `number` limits the total number of vertices of all shapes.
     """
     make_path = optional("ezdxf.path", "drawings").make_path
     vertices: list[list[float]] = []

@@ -64,7 +64,7 @@ MOST_CAMERAS = 64  # maximum number of different cameras among the images of a f
 class KeyedCameras(Keyed):
     """Description of a format: the keys under which a file holds its cameras.
 
-    `at` has the paths (see `lmd.formats.trees`) of these quantities:
+    The field `at` has the paths (see `lmd.formats.trees`) of these quantities:
 
     - size of the image: `width` and `height`, or `size`.
     - intrinsics: `matrix` (nine numbers, row by row), `columns` (nine numbers, column by column), or single numbers
@@ -125,13 +125,13 @@ class KeyedCameras(Keyed):
         return found
 
     def compared(self, entry: Keys) -> Keys:
-        """Camera's entry; if the format is `loose`, a copy whose keys are in lower case and without `_`."""
+        """Entry of a camera (a mapping); if the format is `loose`, a copy with keys in lower case and without `_`."""
         return {plain(name): value for name, value in entry.items()} if self.loose else entry
 
 
 @dataclass(frozen=True)
 class _Camera:
-    """One camera of a file: the format, the mapping of its keys and values (its entry), its key, and user settings."""
+    """One camera of a file: the format, the camera's entry (a mapping), the entry's key, and the user's settings."""
 
     form: KeyedCameras
     entry: Keys
@@ -139,9 +139,10 @@ class _Camera:
     asked: Keys
 
     def path(self, path: str) -> str:
-        """Path without a final `?`, which marks optional values, and with the key of the camera's entry for `{key}`.
+        """Path in the camera's entry, made from a `path` that the format states.
 
-        If the format is `loose`, the result is in lower case and without `_`.
+        A final `?`, which marks an optional value, is removed; `{key}` is replaced by the key of the entry. If the
+        format is `loose`, the result is in lower case and without `_`.
         """
         path = path.rstrip("?").replace("{key}", self.key)
         return plain(path) if self.form.loose else path
@@ -216,9 +217,10 @@ class _Camera:
         return None if size is None else float(size[index])
 
     def _model(self) -> tuple[str, str, list[str]]:
-        """Lens model as the file names it; its standard name; and the names of the numbers in lists of the file.
+        """Lens model as the file names it; standard name of the model; and names of the quantities in the file's lists.
 
-        The lists are at the paths `values` of the format.
+        The paths `values` of the format lead to these lists. Names are in the order of the lists; the form
+        `ours=theirs` adds the file's own name.
         """
         said = [self.value(path) for path in self.form.model]
         needed = [path for path, word in zip(self.form.model, said, strict=True) if word is MISSING and path[-1] != "?"]
@@ -262,7 +264,7 @@ class _Camera:
     def _quantities(self, names: Sequence[str]) -> dict[str, float]:
         """Intrinsics and lens coefficients of the camera, keyed by name.
 
-        `names` are the names of the numbers in lists of the file, at the paths `values` of the format.
+        `names` are the names of the quantities in the file's lists, as `_model` returns them.
         """
         found: dict[str, float] = {}
         pairs = [(ours, theirs or ours) for ours, _, theirs in (name.partition("=") for name in names)]
@@ -284,7 +286,8 @@ class _Camera:
     def _pinhole(self, values: Keys) -> dict[str, float]:
         """Focal lengths and principal point, pixels, keyed by the names fx, fy, cx and cy.
 
-        The principal point counts from the centre of the image's first pixel. `values` are quantities found before.
+        The principal point counts from the centre of the image's first pixel. `values` are the results of
+        `_quantities`.
         """
         found, skew = dict(values), values.get("skew", 0.0)
         for name in ("matrix", "columns"):

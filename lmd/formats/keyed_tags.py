@@ -43,7 +43,7 @@ KNOWN = ("id", "position", "corners", "edge", "family", *TURNS)
 class KeyedTags(Keyed):
     """Description of a format: the keys under which a file holds its tags.
 
-    `at` has the paths (see `lmd.formats.trees`) of these quantities of a tag:
+    The field `at` has the paths (see `lmd.formats.trees`) of these quantities of a tag:
 
     - `id`, a number or a name such as `tag36h11:7`; `edge`; `family`.
     - `position`: three numbers, or two for a tag on the floor.
@@ -121,7 +121,7 @@ class KeyedTags(Keyed):
     def _value(self, tag: Keys, path: str) -> Any:
         """Value to which a path of keys leads in a tag's entry; `MISSING` if it is missing but optional.
 
-        A path with spaces (several paths) is returned as it is.
+        A path with spaces stands for several paths; `path` is then returned unchanged.
         """
         value = find(tag, path.rstrip("?")) if " " not in path else path
         if value is MISSING and not path.endswith("?"):
@@ -131,8 +131,8 @@ class KeyedTags(Keyed):
     def _pose(self, tag: Keys, at: Mapping[str, str], number: int) -> tuple[FloatArray, FloatArray]:
         """Position `(3,)`, metres, and rotation matrix `(3, 3)` of a tag, as its entry states them.
 
-        The rotation is that of a frame with the axes `axes` of the format. `at` has the paths of the quantities, and
-        `number` is the tag's id, for messages.
+        The columns of the matrix are the axes x, y and z that the format defines for a tag, see its field `axes`. `at`
+        has the paths of the tag's quantities, keyed by name; `number` is the tag's id, for messages.
         """
         turns = {name: at[name].rstrip("?") for name in TURNS if name in at}
         name = next((name for name, path in turns.items() if find(tag, path) is not MISSING), list(turns)[-1])
@@ -155,9 +155,9 @@ class KeyedTags(Keyed):
 def _numbers(tag: Keys, path: str, names: str, order: str = "") -> FloatArray:
     """Numbers of one quantity in a tag's entry: one for each letter of `names`, such as `xyz`, in this order.
 
-    At the path is a list, or a mapping with the letters as keys (for a quaternion, with or without the prefix `q`). The
-    letters in `order` give the order of the list, by default that of `names`. A path with spaces stands for one path
-    for each number.
+    The path leads to a list, or to a mapping whose keys are the letters (for a quaternion, with or without the prefix
+    `q`). `order` has the letters in the order of the list, by default `names`. A path with spaces stands for several
+    paths, one for each number.
     """
     if " " in path:
         return np.array([*(number_at(tag, part) for part in path.split()), 0.0][: len(names)])
@@ -213,8 +213,8 @@ def apriltag_ros(keys: Keys) -> Keys:
     """Tags in a configuration of apriltag_ros, as a tree with the key `tags`.
 
     The tags are those of a bundle, a group of tags with a common frame, which is taken as the world frame. Without a
-    bundle, they are the standalone tags that have positions. In the result, `transform` is True if a bundle of ROS 2
-    gives transforms, and `family` is the configured family, if any.
+    bundle, they are the standalone tags that have positions. The result also has the key `transform`, True if a bundle
+    of ROS 2 states poses as transforms, and the key `family` if the configuration names a family.
 
     Raises:
         InputError: no tag has a pose, or several bundles have tags.
@@ -243,10 +243,10 @@ def apriltag_ros(keys: Keys) -> Keys:
 
 
 def _placed(tag: Keys) -> Keys:
-    """Entry of a tag in which position and rotation replace the key `TRANSFORM`.
+    """Entry of a tag with separate keys for position and rotation, made from the values at the key `TRANSFORM`.
 
-    If the transform has seven values, the rotation is a quaternion; if it has six, roll, pitch and yaw. An entry
-    without the key is returned unchanged.
+    The rotation is a quaternion if there are seven values, and roll, pitch and yaw if there are six. An entry without
+    the key `TRANSFORM` is returned unchanged.
     """
     if TRANSFORM not in tag:
         return tag

@@ -1,4 +1,8 @@
-"""Rooms over floor plans from files: readers of the formats, and settings for what the files do not state."""
+"""Rooms with vertical walls, made from files of floor plans: occupancy grids, field layouts of WPILib, and drawings.
+
+A file does not state all that a room needs, such as the height of the ceiling. The user sets the rest as arguments of
+`read_plan_room` and as fields of `Reading`. Drawings are read by `lmd.formats.dxf`.
+"""
 
 import io
 from collections.abc import Sequence
@@ -48,10 +52,11 @@ SAVED_UNKNOWN, SAVED_FREE = 205, 254
 
 
 def read_map(file: File) -> ReadPlan:
-    """Read the free region of an occupancy grid, in the frame of the map.
+    """Read the region without obstacles in an occupancy grid as a floor plan, in the frame of the map.
 
     Args:
-        file: YAML file of the map; `file.asked` has `tolerance`, `speck`, `passage` and `start` of `Reading`.
+        file: YAML file of the map; its attribute `asked`, a mapping of the user's settings, has the keys `tolerance`,
+            `speck`, `passage` and `start`, see `Reading`.
 
     Raises:
         InputError: the file or a setting is refused, or there is no free region.
@@ -61,10 +66,11 @@ def read_map(file: File) -> ReadPlan:
 
 
 def read_occupancy_grid(path: str | Path) -> OccupancyGrid:
-    """Read an occupancy grid: a YAML file and its picture.
+    """Read an occupancy grid: a YAML file, as nav2_map_server reads it, and the picture that the file names.
 
-    In the modes `trinary` and `scale`, cells between the thresholds are neither free nor occupied, as in AMCL. In the
-    mode `raw`, the grey values are occupancies in per cent, to which the thresholds apply, as in map_saver.
+    A cell is occupied if its occupancy is at least `occupied_thresh`, and free if its occupancy is at most
+    `free_thresh`. Other cells are neither, as in AMCL. The YAML file states these thresholds and the mode of the
+    picture. In the mode `raw`, the grey values are occupancies in per cent, as in map_saver.
 
     Raises:
         InputError: a file is missing or cannot be read, or a key is missing or wrong.
@@ -101,12 +107,16 @@ def read_occupancy_grid(path: str | Path) -> OccupancyGrid:
 def occupancy(
     grey: FloatArray, is_opaque: BoolArray, mode: str, negate: bool, occupied_thresh: float, free_thresh: float
 ) -> IntArray:
-    """Occupancy in per cent, -1 for unknown, `(H, W)`, of the pixels in a map's picture.
+    """Occupancy `(H, W)` of each pixel of a map's picture, in per cent; -1 stands for unknown.
+
+    In the modes `trinary` and `scale`, an occupied pixel gets 100 and a free pixel 0. Between the thresholds, `trinary`
+    gives -1, and `scale` interpolates. In the mode `raw`, a grey value up to 100 is itself the occupancy, and the other
+    arguments are not used.
 
     Args:
         grey: grey values from 0 to 255, `(H, W)`.
         is_opaque: mask of the pixels that are not transparent, `(H, W)`.
-        mode: one of `MODES`.
+        mode: one of `MODES`: `trinary`, `scale` or `raw`.
         negate: True if white is occupied.
         occupied_thresh: smallest occupancy of a cell that counts as occupied, from 0 to 1.
         free_thresh: greatest occupancy of a cell that counts as free, from 0 to 1.
@@ -178,7 +188,7 @@ BEHIND_M, FAR_M = 0.002, 100.0
 
 
 def read_field(file: File) -> ReadPlan:
-    """Read the field of a layout of WPILib: a rectangle of the stated size, grown to contain all tags.
+    """Read the playing field in a field layout of WPILib: a rectangle of the stated size, extended to contain all tags.
 
     If the tags are those of a known season, that season's solid structures are left out of the room, from floor to
     ceiling. The sides of a structure are the planes of its tags.
@@ -224,7 +234,7 @@ class PlanFile(File):
 
 @dataclass(frozen=True)
 class Reading(Checked):
-    """Settings for reading a floor plan.
+    """Settings for reading a floor plan from a file, such as the layers of a drawing that have walls.
 
     Raises:
         InputError: a setting is refused.
@@ -269,7 +279,7 @@ def read_plan_room(
     Args:
         path: file of a format of this module; None for a plan from the other arguments.
         outline, holes: vertices of the walls and of pillars, see `FloorPlan`. With a `path` they come from the file;
-            both must then be None, or have the values of the configured example, `EXAMPLE`.
+            both must then be empty, or have the values of the example in the configuration, `EXAMPLE`.
         keep_out: parts of surfaces without landmarks, see `FloorPlan`. With a `path` they are added to the keep-outs of
             the file; those of `EXAMPLE` are ignored.
         surfaces: names of the surfaces that may carry landmarks; with a `path`, None for all walls with at least the
@@ -305,10 +315,10 @@ def read_plan_room(
 
 
 def _walls(found: ReadPlan, height: float, margin: float, least_width: float) -> tuple[list[str], list[dict[str, Any]]]:
-    """Names of the walls with at least the free width `least_width`; and the regions of doors and windows.
+    """Names of the walls with at least the free width `least_width`; and the regions of all doors and windows.
 
-    The free width is the length of the longest part without doors and windows. A region, in which no landmark may be,
-    is a mapping with the arguments of `KeepOut`.
+    The free width of a wall is the length of its longest part without doors and windows. No landmark may be in a
+    region, which is returned as a mapping with the arguments of `KeepOut`.
     """
     walls: list[str] = []
     parts: list[dict[str, Any]] = []

@@ -39,8 +39,8 @@ class Rows:
         time: times, seconds, `(T,)`; increasing after `read_rows`.
         poses: poses of the recorded body, in the frame of the recording, `(T, 4, 4)`.
         frame: frame of the orientations, `optical` or `body`; None if the file does not define it.
-        angles: True if the file gives orientations as angles of a camera; if the user states a mount, the angles are
-            those of the body's x axis.
+        angles: True if the orientations are computed from yaw, pitch and roll of a camera. If the user states a mount,
+            these angles are instead taken for those of the body's x axis.
         notes: sentences for the user on omitted rows and on assumptions, without full stops.
     """
 

@@ -39,7 +39,10 @@ OF_FRAME = ("applied_transform", "applied_scale", "ply_file_path")
 
 
 class Model(NamedTuple):
-    """Images and their poses from files of COLMAP or nerfstudio, or the times and poses of a trajectory."""
+    """Images and their poses from files of COLMAP or nerfstudio, or the times and poses of a trajectory.
+
+    The field `moved` is a function that applies a similarity to the model and returns the new contents of its files.
+    """
 
     names: list[str] | FloatArray
     """Names of n images; for a trajectory, times, seconds, increasing, `(n,)`."""
@@ -93,7 +96,7 @@ def read_model(path: Any) -> Model:
 def _colmap(folder: Path) -> Model:
     """Model from the text files of COLMAP in a folder.
 
-    The function `moved` of the model changes only the poses, and the positions of points, in the files.
+    The model's function `moved` returns the files with new poses and new positions of points; all else is unchanged.
     """
     cameras, images, points = (File(folder / name, "model").text.splitlines(keepends=True) for name in FILES)
     found = {number: image for number, line in enumerate(images) if (image := IMAGE.fullmatch(line)) is not None}
@@ -116,9 +119,9 @@ def _colmap(folder: Path) -> Model:
 
 
 def _nerfstudio(path: Path) -> Model:
-    """Model from nerfstudio's file `TRANSFORMS` at `path`.
+    """Model from nerfstudio's file `transforms.json` at `path`.
 
-    The function `moved` of the model changes the poses in the file, and drops the keys `OF_FRAME`, which describe the
+    The model's function `moved` returns the file with new poses, and without the keys `OF_FRAME`, which describe the
     old frame. All other keys are unchanged.
     """
     keys = File(path, "model").data
@@ -153,11 +156,12 @@ def _image_line(number: Any, row: FloatArray, camera: Any, name: str) -> str:
 
 
 def _intrinsics(camera: Camera) -> tuple[str, str, dict[str, float]]:
-    """Lens model of a camera as COLMAP and as nerfstudio name it, and the values for both programs.
+    """Names of a camera's lens model in COLMAP and in nerfstudio, and the camera's parameters for both programs.
 
     Returns:
-        name in COLMAP; name in nerfstudio; and the size of the image and the parameters, keyed by nerfstudio's names,
-        in COLMAP's order. A name is empty if the program lacks the lens model.
+        name in COLMAP; name in nerfstudio; and size of the image, focal lengths, principal point and coefficients of
+        the lens. These values are in COLMAP's order, keyed by nerfstudio's names. A name is empty if the program lacks
+        the lens model.
     """
     (focal_u, focal_v), (u, v), lens = camera.focal_pixels.tolist(), camera.principal_point, camera.distortion
     size = {"w": round(camera.image_width), "h": round(camera.image_height)}

@@ -73,7 +73,7 @@ OWN, ONE, NONE = "own", "one", "none"  # values of `Writer.edges`
 
 @dataclass(frozen=True)
 class Format(Checked):
-    """Format of a file that is read or written, or that is recognised and refused."""
+    """Format of files: a test that recognises a file; and a reader, a writer, or the reason why a file is refused."""
 
     family: Annotated[str, partial(choice, options=FAMILIES)]
     """Kind of the files in this format, one of `FAMILIES`."""

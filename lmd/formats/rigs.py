@@ -130,9 +130,11 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
 
 
 def read_mounts(path: Any) -> Any:
-    """Read mounts for `rig_of` from a file: a list with the key `rig`, or a calibration of several cameras.
+    """Read the mounts of cameras from a file; the result is the argument `mounts` of `rig_of`.
 
-    Paths of calibrations may be relative to the file.
+    If the file has the key `rig`, the result is the list at this key; paths of calibrations in the list may be relative
+    to the file. Any other file is taken for a calibration of several cameras; the result is then the mapping
+    `{"path": path}`.
 
     Raises:
         InputError: the file cannot be read, or `rig` is not a list.

@@ -6,8 +6,8 @@ the field on the right of the blue alliance.
 A path of PathPlanner has no times. The speed along the path is the largest that keeps the limits of the path and of its
 zones (speed, acceleration along the path, turn rate) and the speeds at both ends. Between two rotation targets the
 heading is eased by a cosine over the distance driven, as in PathPlanner. The limits of wheels and motors, of the grip
-in bends, and of the turn rate's own acceleration are left out. So PathPlanner's own times are longer where a robot
-turns while it drives.
+in bends, and of the angular acceleration are left out. So PathPlanner's own times are longer where a robot turns while
+it drives.
 """
 
 from pathlib import Path

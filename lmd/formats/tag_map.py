@@ -33,12 +33,12 @@ class TagMap:
     """Map of K tags in a room; world frame, metres.
 
     Args:
-        room: room of the tags.
+        room: room in which the tags hang.
         tag: family and size of the tags.
         deployment: poses of the tags; ids are the numbers in the family.
 
     Raises:
-        InputError: the tag is a point, or the family lacks an id.
+        InputError: the tag has no size, or the family lacks an id.
     """
 
     room: Space
@@ -109,7 +109,10 @@ class TagMap:
 
     @cached_property
     def tags_by_surface(self) -> dict[int, IntArray]:
-        """Tags of each surface of `route`, as indices into the array `order`; keyed by the index of the surface."""
+        """Tags on each surface of `route`, keyed by the index of the surface.
+
+        A tag is given by its rank in the order of hanging, that is, by its index in the array `order`.
+        """
         return {index: np.flatnonzero(self.surfaces[self.order] == index) for index in self.route}
 
     @cached_property
@@ -134,7 +137,7 @@ class TagMap:
 
     @cached_property
     def by_size(self) -> list[tuple[Tag, IntArray]]:
-        """For each tag size, the smallest first: the tag of this size, and indices of tags in the order of hanging."""
+        """Pairs, the smallest size first: a tag of this size, and indices of the tags with this size, as in `order`."""
         own = self.sizes[self.order]
         return [(self.tag.of_size(edge), self.order[own == edge]) for edge in np.unique(own).tolist()]
 

@@ -59,10 +59,11 @@ def _at(tree: Any, path: str) -> Any:
 
 
 def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> Iterator[tuple[str, Keys]]:
-    """Yield the entries at a path of a tree, such as cameras or tags, each with its key; an entry is a mapping.
+    """Yield the key and the content (a mapping) of each entry at a path of a tree, such as a camera or a tag.
 
-    A step of the path is a key; or `*`, which stands for each entry of a list or a mapping; or `/PATTERN/`, for each
-    key that matches a regular expression; or `**KEY`, for the mappings at any depth that have the key KEY.
+    A path consists of steps with dots between them. A step is a key; or `*`, which stands for each item of a list or a
+    mapping; or `/PATTERN/`, for each key that matches a regular expression. The step `**KEY` stands for the mappings at
+    any depth that have the key KEY.
 
     An entry also gets the keys and values of the mappings that contain it, unless it has these keys itself. An entry
     gets no keys from the entries beside it. A value that is not a mapping becomes a mapping with the one key `value`.
@@ -104,8 +105,8 @@ def plain(text: str) -> str:
 def numbers_of(value: Any, nested: int = NESTED) -> list[Any]:
     """Flatten a value to a list of its numbers.
 
-    A value is a number, a text of numbers, a mapping whose key `data` has the numbers, or a list of such values. All
-    other parts become entries of the result as they are.
+    A value is a number, a text of numbers, a mapping whose key `data` has the numbers, or a list of such values.
+    Anything else becomes an item of the result without a change.
     """
     if isinstance(value, Mapping) and "data" in value and nested:
         return numbers_of(value["data"], nested - 1)
@@ -246,7 +247,7 @@ def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY)
 
 @dataclass(frozen=True)
 class File:
-    """File whose format is not yet known; it is read when its content is needed for the first time."""
+    """File whose format is not yet known, with the user's settings `asked`; read when the content is first needed."""
 
     path: Any
     """Path of the file."""

@@ -1,8 +1,8 @@
 """Camera models of other programs, each approximated by a lens of `lmd.geometry.lens`. All have one centre of
 projection.
 
-The first three models project a point (u, v, w) at the distance r to (u, v) / d, in units of the model's focal lengths.
-These models differ in d.
+Let r be the distance of a point (u, v, w) from the camera. The first three models project the point to (u, v) / d, in
+units of the model's focal lengths, and differ in d.
 
 - the double sphere of Usenko, Demmel and Cremers (2018), `ds`: d = alpha sqrt(u^2 + v^2 + s^2) + (1 - alpha) s with
   s = xi r + w.
@@ -159,8 +159,9 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
 
     Args:
         name: name of the model, one of `MODELS`.
-        values: parameters of the model and its intrinsics `PINHOLE`, keyed by name; for `omni` also the coefficients
-            `DISTORTION`, 0 if missing. The origin of pixel coordinates is the centre of the first pixel.
+        values: parameters of the model, focal lengths and principal point (`PINHOLE`), keyed by name; for `omni` also
+            the distortion coefficients `DISTORTION`, 0 if missing. The principal point is in pixels from the centre of
+            the first pixel.
         size: width and height of the image, pixels.
 
     Raises:

@@ -69,7 +69,7 @@ def angles_of(world_to_local_rotation: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def optical_axis(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
-    """Unit optical axis Z^c in the world frame: (sin a cos b, cos a cos b, sin b).
+    """Unit optical axis Z^c in the world frame, (sin a cos b, cos a cos b, sin b), for yaw a and pitch b.
 
     The axis is the third row of `rotation`, and does not depend on roll. Positive pitch looks up.
 

@@ -159,8 +159,9 @@ class Lens:
 
     @cached_property
     def _radii(self) -> tuple[FloatArray, FloatArray]:
-        """Table of the projection without tangential terms and prism, `(ANGLE_SAMPLES,)` each: radii in the image and
-        angles. Each radius is the image of the angle from the optical axis; angles end at the fold.
+        """Table of the projection without tangential terms and prism. The first array has distances from the principal
+        point, focal lengths, the second the angles from the optical axis that are projected to these distances,
+        `(ANGLE_SAMPLES,)` each. Angles end at the fold.
         """
         theta = np.linspace(0.0, self.fold, ANGLE_SAMPLES)
         return self.profile(theta).across * np.sin(theta), theta
@@ -203,10 +204,12 @@ class Lens:
         return _border(lambda angle: self.profile(angle).inner >= reach, 0.0, self.fold)
 
     def stretch(self, widest: float, power: int = 0) -> Stretch:
-        """Bounds on the local scale (image length per angle) up to the angle `widest` from the optical axis, rad.
+        """Bounds on the lens's image length per angle (local scale) and image area per solid angle. The bounds hold up
+        to the angle `widest` from the optical axis, rad.
 
-        With `power` 1, the bounds are on ratios of the lens's scale to a pinhole's scale. The pinhole's scale is
-        1 / cos(theta) for `least`, 1 / cos(theta)^2 for `most`, 1 / cos(theta)^3 for `least_area` and `most_area`.
+        With `power` 0, the bounds are on the lens's own scales. With `power` 1, the bounds are on ratios of these
+        scales to those of a pinhole. At the angle theta, a pinhole's least scale is 1 / cos(theta), its largest scale
+        1 / cos(theta)^2, and its area per solid angle 1 / cos(theta)^3.
         """
         theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
         profile, cosine = self.profile(theta), np.cos(theta) ** power

@@ -5,7 +5,7 @@ compiled code (kernels) contains the same functions, so the results of both are 
 the camera frame: right, down, along the optical axis. Projected points are given relative to the principal point, in
 focal lengths.
 
-`BrownConrady` projects points in front of the camera. With x = u / w, y = v / w and s = x^2 + y^2, the projected point
+`BrownConrady` projects points in front of the camera. Let x = u / w, y = v / w and s = x^2 + y^2. The projected point
 is
 
     (x g + 2 p1 x y + p2 (s + 2 x^2) + s1 s + s2 s^2, y g + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2),

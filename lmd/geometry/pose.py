@@ -187,9 +187,9 @@ def body_from_corners(
     Args:
         cameras: intrinsics.
         mounted: poses of the cameras in the body frame, `(C, 4, 4)`.
-        points: tag corners, world frame, metres, `(M, ..., 3)`.
-        images: for each camera, the detected corners, pixels from the top-left border of the image, `(M, ..., 2)`; NaN
-            for missing corners.
+        points: tag corners, world frame, metres, `(..., 3)`.
+        images: for each camera, image points of all these corners, pixels from the top-left border of the image,
+            `(..., 2)`; NaN for corners that were not detected.
 
     Returns:
         pose X of the body, `(4, 4)`; NaN if no camera sees four points or there is no solution.

@@ -64,7 +64,7 @@ def poses_from_rows(rows: FloatArray, lines: Sequence[int] | None = None) -> Flo
 
 
 def pose_rows(poses: FloatArray) -> FloatArray:
-    """Position and quaternion of each pose, `(n, 7)`; NaN for poses of NaN."""
+    """Position and quaternion of each pose, in the order of `ROW`, `(n, 7)`; NaN for poses of NaN."""
     from scipy.spatial.transform import Rotation
 
     rows, known = np.full((len(poses), len(ROW)), np.nan), np.isfinite(poses[:, 0, 0])

@@ -107,8 +107,8 @@ def view_place(k: Integer, field: Any, scratch: Any) -> None:
     """Compute how a single camera sees the moving landmark's new place from each nearby position.
 
     Other landmarks are ignored. Three arrays of the scratch are filled. `seen` gets the offset of the place and bounds
-    on its depth. The flag `REACHED` tells if some orientation may cover the place. `cell` gets the cell of the
-    direction tables (`lmd.sight.directions`) with the direction of the place.
+    on its depth. The flag `REACHED` tells if some orientation may cover the place. `cell` gets the index of the place's
+    direction in the direction tables (`lmd.sight.directions`).
     """
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]

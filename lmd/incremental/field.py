@@ -1,16 +1,19 @@
 """Fields (incremental evaluators), which update the value of each position when a single landmark moves.
 
-A field is a named tuple of constant arrays. The *state* of a field has the arrays that change with the landmarks, and
-the *scratch* is working memory with the arrays of a move that is tried. A move consists of the steps
+A field has constant data. The *state* of a field has the arrays that change with the landmarks, and the *scratch* is
+working memory with the arrays of a move that is tried. A move has up to four steps:
 
-    bound -> settle -> accept (-> undo),
+- `bound` tries the move, and writes upper bounds on the new values to the scratch.
+- `settle` replaces the bounds by the exact values.
+- `accept` carries out the move in the state.
+- `undo` takes back an accepted move.
 
-and may be dropped after `bound` or after `settle`. A `Target` computes the fitness from the values. `annealing`
-optimises any objective with a field.
+A move may be dropped after `bound` or after `settle`, which leave the state unchanged. A `Target` computes the fitness
+from the values. `annealing` optimises any objective with a field.
 
-A field that is not a named tuple registers plain Python functions, and kernels then run as plain Python (`runner`).
-Values are quantised probabilities: integers, of which `PROBABILITY_ONE` represents the probability 1. Sums of integers
-are exact, so updated values equal recomputed values.
+Most fields are named tuples of arrays, and the steps are compiled functions. Another field registers plain Python
+functions, and kernels then run as plain Python (`runner`). Values are quantised probabilities: integers, of which
+`PROBABILITY_ONE` represents the probability 1. Sums of integers are exact, so updated values equal recomputed values.
 """
 
 from collections.abc import Callable
@@ -29,8 +32,9 @@ from lmd.scene.deployment import Deployment
 class Field(Protocol):
     """Interface of fields (incremental evaluators); a class must register `bound`, `settle`, `accept` and `undo`.
 
-    A state has `poses` `(6, K)` (positions, metres, and unit normals), `surfaces` `(K,)` and the values `units` `(Q,)`,
-    quantised to int64. A scratch has `units`, the quantised values after the move tried last.
+    A state has the values `units` `(Q,)`, quantised to int64. The object `placed(state)` has `poses` `(6, K)`
+    (positions, metres, and unit normals) and `surfaces` `(K,)`, the index of each landmark's surface. A scratch has
+    `units`, the quantised values after the move tried last.
     """
 
     @property
@@ -150,9 +154,10 @@ def undo(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, share: float) -> Any:
     """Contribution of position p with the quantised (integer) value `units` to the smoothed fitness.
 
-    If the fitness has a sharp step at a threshold, the smoothed fitness has a smooth step of the given `width`. The
-    middle of this step is `margin` above the threshold. `share` times the value is added to the step. The contribution
-    increases monotonically with `units`, up to (1 + share) times the weight of the position.
+    If the fitness has a sharp step at a threshold of the value, the smoothed fitness has a smooth step of the given
+    `width`. The middle of the step is `margin` above the threshold, and `share` times the value is added to the step.
+    Here values are numbers in [0, 1]. The contribution increases monotonically with `units`, up to (1 + share) times
+    the weight of the position.
     """
 
 
@@ -165,7 +170,7 @@ def contribution(target: Any, p: Integer, units: Integer) -> Any:
 def placed(state: Any) -> Any:
     """Return the object with the attributes `poses` and `surfaces` of a state.
 
-    This is the state itself, unless the state's class registers another function.
+    By default the object is the state itself; the state's class may register another function.
     """
     return state
 
@@ -210,8 +215,8 @@ def move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratc
 def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> None:
     """Move all landmarks of `state` to `places`, without testing the fitness.
 
-    Landmarks that are already at their place do not move. Working memory is the first of the `scratches`, and `pose`
-    `(6,)`, which is overwritten.
+    Landmarks that are already at their place do not move. The first of the `scratches` and the array `pose` `(6,)` are
+    working memory, which is overwritten.
     """
     scratch, known = layer(scratches, 0), placed(state)
     for k in range(len(places.surfaces)):

@@ -3,11 +3,12 @@
 Only blocks of positions within the horizon (the distance beyond which a landmark has no effect) of both landmarks are
 searched, in two stages:
 
-1. A bound excludes most landmarks for all positions of a block. Let a be the place of the moving landmark, m its offset
-   from the centre of the block, and e = o - a the vector to another landmark o. The offsets of a and o from the
-   position delta away from the centre are a' = m - delta and o' = a' + e. One landmark hides the other only within r =
-   sqrt(reach) of the line of sight: if |a' x o'| <= r max(|a'|, |o'|). Here a' x o' = m x e - delta x e, and the block
-   fits into a box with the half sides h. The first component of m x e is then at most
+1. An inequality excludes most of the other landmarks for all positions of a block. Let a be the place of the moving
+   landmark, o the place of another landmark, and e = o - a. Let m be the offset of a from the centre of the block. The
+   offsets of a and o from a position at delta from the centre are a' = m - delta and o' = a' + e. Let r be the greatest
+   distance from a line of sight at which a landmark blocks the line. One landmark can hide the other only if |a' x o'|
+   <= r max(|a'|, |o'|). Here a' x o' = m x e - delta x e, and the block fits into a box with the half sides h. The
+   first component of m x e is then at most
 
        h_y |e_z| + h_z |e_y| + r (|m| + |h| + |e|),
 
@@ -145,15 +146,18 @@ def find_offsets(place: Vector, poses: FloatArray, horizon: float, others: np.nd
 def near_line(start: Any, middle: Vector, sides: Vector, radius: float, offsets: FloatArray) -> Any:
     """Find which of `LANES` landmarks may hide a place, or be hidden by a landmark there, from a block of positions.
 
-    This is a bound, the first stage of the search (see the module): a landmark outside the returned bit set neither
-    hides the place nor is hidden, from any position of the block.
+    The test is the first stage of the search, see the module.
 
     Args:
-        start: index of the first of the landmarks.
+        start: column of `offsets` with the first of the landmarks.
         middle: offset of the place from the centre of the block's bounding box, metres.
         sides: half the side lengths of the box, metres.
         radius: result of `line_radius`, metres.
         offsets: array filled by `find_offsets`.
+
+    Returns:
+        bit set: bit j for the landmark in column `start + j`. A landmark outside the set neither hides the place nor is
+            hidden, from any position of the block.
     """
     (mx, my, mz), (hx, hy, hz) = middle, sides
     far = math.sqrt(dot3(middle, middle)) + math.sqrt(dot3(sides, sides))
@@ -179,10 +183,9 @@ def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, fi
         groups: a tuple: a `OneCamera`, or a `MountGroup` of a rig, and the arrays of the state and of the scratch for
             it.
         near: five values. Four are indices: centre c of the cameras (`MountGroup.centres`), block b, and landmarks i
-            and k. The fifth is a pair in metres: the offset of the place from centre c if the body is at the middle of
-            the block, and half the diagonal of the block's box, enlarged by the distance of the cameras from their
-            centre.
-        role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE`.
+            and k. The fifth is a pair in metres, for the body at the middle of the block: the offset of the place from
+            centre c, and a radius around c. The cameras stay within this radius for all positions of the block.
+        role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE` (place at which landmark k is counted for the first time).
         place: position (metres) and unit normal.
     """
 
@@ -230,7 +233,7 @@ def touch(p: Integer, scratch: Any) -> None:
 def note_pair(i: Integer, p: Integer, scratch: Any) -> None:
     """List the pair of landmark i and position p in `Scratch.pairs`, unless it is listed already.
 
-    The trial move may change the occlusion of landmark i from there.
+    The trial move may change the occlusion of landmark i as seen from position p.
     """
     known, pairs, numbers = scratch.known, scratch.pairs, scratch.numbers
     if not known[p, i]:

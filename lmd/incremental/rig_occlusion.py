@@ -48,8 +48,8 @@ def _drop_hidden(
 ) -> None:
     """Remove from the set `flipped` of landmark i the orientations with which it is hidden anyway.
 
-    These are the orientations with which a landmark other than k hides landmark i from the cameras around centre c. The
-    body is at position q, with the coordinates `body`, metres.
+    An orientation is removed if a landmark other than k hides landmark i from the cameras around centre c. The body is
+    at position q, with the coordinates `body`, metres.
     """
     other, width = pose_of(i, state), line_radius(group.sight)
     offset = minus3(other[0], plus3(body, row3(group.centres, c)))

@@ -192,8 +192,8 @@ class RigState(NamedTuple):
 class Scratch(NamedTuple):
     """Working memory for moves of one landmark seen by a camera, with the results of the move tried last.
 
-    After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, `REACHED`, `hides` and `changes` have the data
-    of the reverse move, which undoes it.
+    After the move is carried out, the scratch has the data of the reverse move, which undoes it, in `target`,
+    `SURFACE`, `units`, `FRESH`, `REACHED`, `hides` and `changes`.
     """
 
     target: np.ndarray

@@ -147,9 +147,9 @@ def clear_views(scratch: Any) -> None:
 
 @inner
 def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Reset the scratch after the last trial move, and list the blocks of positions near the landmark's two places.
+    """Reset the scratch after the last trial move, and list the blocks of positions near two places of landmark k.
 
-    These are the present place of landmark k and its new place.
+    The places are the present place of landmark k and its new place.
     """
     numbers, landmark, position = scratch.numbers, scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     touched, places, known = scratch.flags[TOUCHED], scratch.lists[TOUCHED_LIST], scratch.known

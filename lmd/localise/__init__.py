@@ -1,6 +1,6 @@
 """Localisation of recorded images in a map of tags, and changes of the map: a survey with the map as its prior.
 
-Modules in the order of a localisation, each with its result:
+Modules in the order of a localisation:
 
 - `localise` calls all steps in order; its `Localisation` is the result.
 - `fixed_map` reads the map: poses of the tags, with standard deviations.

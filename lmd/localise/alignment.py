@@ -106,8 +106,9 @@ def _rows(model: Model, detected: DetectedTags, names: NDArray[np.str_]) -> IntA
 
 
 def _rms(owner: IntArray, squares: FloatArray, count: int) -> FloatArray:
-    """Root mean square of the values of each of `count` owners. `squares` has the squared values, `owner` the index of
-    each value's owner. Values of NaN are left out; the result is NaN for an owner without other values.
+    """Root mean square of each of `count` groups of values. `squares` `(n,)` has the squares of all values, and `owner`
+    `(n,)` the index of each value's group. Values of NaN are left out; the result is NaN for a group without other
+    values.
     """
     known = np.isfinite(squares)
     number = np.bincount(owner[known], minlength=count)
@@ -137,8 +138,8 @@ def _fitted(
         own: covariance of the twist of each localised body pose, without the part common to all images, `(n, 6, 6)`.
 
     Returns:
-        similarity, `(4, 4)`; mask of the images that fit, `(n,)`; chi^2 of all images, `(n,)`; variances of the six
-        components of the error of a model's pose, a twist, `(6,)`; derivatives of the logarithm of the scale with
+        the similarity, `(4, 4)`; mask of the images that fit, `(n,)`; chi^2 of each image's residual, `(n,)`. Then the
+        variances of the error twists of the model's poses, `(6,)`; derivatives of the logarithm of the scale with
         respect to twists of the localised poses, `(n, 6)`.
 
     Raises:

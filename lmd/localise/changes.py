@@ -7,8 +7,8 @@ information matrix J = S_rr^-1. The pose of each tag in the map is compared with
 all other trusted tags.
 
 - If a trusted tag k was moved by the twist t, its prior holds for u_k - t. The information matrix of t is Q_kk with
-  Q = J - J P J, and t = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
-- A tag k of the map that is not trusted is expected at A u_r, given the trusted tags, with A = S_kr J. So
+  Q = J - J P_rr J, and t = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
+- For a tag k of the map that is not trusted, the trusted tags predict the twist A u_r with A = S_kr J. So
   t = u_k - A u_r, with the covariance of u_k - A u_r under P, plus S_kk - A S_rk.
 
 If a tag was not moved, t^T cov(t)^-1 t has the chi^2 distribution with six degrees of freedom. Moved tags lose their

@@ -262,8 +262,9 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
 
 
 def _decided(found: Estimate, motion: Motion, both: FloatArray) -> Poses:
-    """Poses in which each frame that two poses fit has the pose nearer to the smoothest sequence of poses. `both`
-    `(F, 2, 4, 4)` has the two poses, NaN for other frames. Such a frame has no pose if no other frame is linked to it.
+    """Poses of an estimate, with a decision for each ambiguous frame, which two poses fit. The pose nearer to the
+    smoothest sequence of poses is taken; none if no other frame is linked to the frame. `both` `(F, 2, 4, 4)` has the
+    two poses of each ambiguous frame, NaN for other frames.
     """
     frames, opened = found.poses.frames.copy(), np.flatnonzero(np.isfinite(both[:, 0, 0, 0]))
     if opened.size:

@@ -154,9 +154,10 @@ class Objective(Protocol):
         """
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
-        """Arrays of which the means over positions are figures (metrics), keyed by the figure's name.
+        """Contributions of the positions to the figures (metrics) that are means over positions.
 
-        Each array has the shape of `values`. The entries are the contributions of the positions to the figure.
+        The keys are the names of the figures. Each array has the shape of `values`, and its mean over the positions is
+        the figure.
         """
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:

@@ -104,8 +104,10 @@ class Coverage(AtLeast):
         return {"qualified_ratio": self.qualified(values), "average_coverage_probability": values}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """Four metrics of the paper: its three indices of coverage, which are fractions in [0, 1], and its cost H,
-        which is a sum of relevance (Eq. H2).
+        """Metrics of the paper: three indices of coverage in [0, 1], and the cost H.
+
+        The indices are the fraction of qualified positions, the mean of P_n and the maximum of P_n. H is the total
+        relevance of the qualified positions (Eq. H2).
         """
         return {
             **{key: float(share.mean()) for key, share in self.shares(values).items()},

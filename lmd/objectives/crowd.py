@@ -1,6 +1,7 @@
 """Fitness and metrics of a scene with a crowd, and the fitness over the worst groups of positions.
 
-A crowd state is one arrangement of the crowd's people and robots.
+A crowd state is one arrangement of the crowd's people and robots. A group has the positions of one crowd state, or of
+one drive. The worst groups are those with the least fitness.
 """
 
 from collections.abc import Mapping
@@ -18,10 +19,11 @@ from lmd.space.crowd import worst_mean, worst_of
 
 
 class WorstGroups(NamedTuple):
-    """Mean fitness over the worst of S groups of positions; a `Target`.
+    """Fitness that is the mean over the worst groups of positions, those with the least fitness; a `Target`.
 
-    A group has the positions of one crowd state (arrangement of people), or of one drive. The field `target` is another
-    `Target`, which computes the fitness within a group.
+    A group has the positions of one crowd state (arrangement of people), or of one drive. The attribute `target` is
+    another `Target`, which computes the fitness within a group. The attribute `worst` is the number of groups in the
+    mean.
     """
 
     target: Any
@@ -39,10 +41,10 @@ class WorstGroups(NamedTuple):
         return self.target.relevance  # type: ignore[no-any-return]
 
     def of_worst(self, units: IntArray) -> Any:
-        """Target whose fitness is a sum over the positions of the worst groups only.
+        """Target for derivatives of the fitness: a sum over the positions of the worst groups only.
 
-        The groups that are worst for the quantised values `units` `(Q,)` of the positions are chosen once. At these
-        values, the fitness of the returned target has the derivatives of this target's fitness.
+        The worst groups are chosen once, from the quantised values `units` `(Q,)` of the positions. At these values,
+        the returned target's fitness has the derivatives of this target's fitness.
         """
         terms = np.array([contribution(self.target, p, units[p]) for p in range(len(units))])
         sums = np.bincount(self.groups, terms, self.number)
@@ -63,10 +65,7 @@ def _contribution(target, p, units):  # type: ignore[no-untyped-def]
 
 @allocating
 def _worst_of_terms(target: Any, terms: FloatArray) -> Any:
-    """Mean fitness over the worst groups of positions.
-
-    `terms` `(Q,)` are the contributions of the positions to the fitness of `target.target`.
-    """
+    """Mean fitness over the worst groups, from the contribution of each position to the fitness, `terms` `(Q,)`."""
     sums = np.zeros(target.number)
     for p in range(len(terms)):
         sums[target.groups[p]] += terms[p]
@@ -84,10 +83,10 @@ def _worst_of_units(target: Any, units: Any) -> Any:
 
 @inner
 def _mean_of_worst(sums: FloatArray, worst: Integer) -> Any:
-    """S times the mean of the `worst` smallest of the S numbers in `sums`, which the function overwrites.
+    """Mean fitness over the worst groups, from the contribution of each of S groups to the fitness.
 
-    The numbers are the contributions of S groups of positions to the fitness. S times a contribution is the fitness
-    within the group.
+    `sums` `(S,)` has the contributions, and is overwritten. The fitness within a group is S times the group's
+    contribution. `worst` is the number of groups in the mean: those with the least contributions.
     """
     total, number = 0.0, len(sums)
     for _ in range(worst):
@@ -149,10 +148,10 @@ def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevanc
 
 
 def slope_target(target: Target, units: IntArray) -> Target:
-    """Target with which optimisers compute the derivatives of the fitness at the quantised values `units` `(Q,)`.
+    """Target with which optimisers compute derivatives of the fitness at the quantised values `units` `(Q,)`.
 
-    The target's fitness is a sum over positions. At these values, the derivatives of this sum are those of the fitness
-    of `target`.
+    The fitness of the returned target is a sum over positions, which can be differentiated position by position. At the
+    values `units`, the derivatives of this sum are those of the fitness of `target`.
     """
     return target.of_worst(units) if isinstance(target, WorstGroups) else target
 
@@ -185,9 +184,10 @@ def describe_crowd(objective: Objective, figures: Mapping[str, float], evaluator
 
 
 def worst_share(shares: FloatArray, evaluator: Evaluator) -> FloatArray:
-    """Mean of `shares` `(P,)`, values in [0, 1] of P positions, over the worst crowd states (arrangements of people).
+    """Mean of `shares` over the worst crowd states (arrangements of people).
 
-    The worst states are those in which the mean share is lowest.
+    `shares` `(P,)` are the contributions of P positions to a figure (metric), see `Objective.shares`. The worst states
+    are those with the lowest mean contribution.
     """
     count = len(_states(evaluator)[0])
     return worst_mean(shares.reshape(count, -1).mean(axis=-1), _worst_count(evaluator, count))
@@ -197,8 +197,8 @@ def _states(evaluator: Evaluator) -> tuple[IntArray, IntArray]:
     """Crowd states (arrangements of people) at the positions of an evaluator.
 
     Returns:
-        indices of the states that occur, and an array `(P,)` with the entry of the first array for each position's
-            state.
+        indices of the states that occur, and an array `(P,)`: for each position, the place of its state in the first
+            array.
     """
     assert evaluator.states is not None, "there is a crowd"
     present, index = np.unique(evaluator.states, return_inverse=True)

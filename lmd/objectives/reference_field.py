@@ -1,5 +1,4 @@
-"""Field (incremental evaluator) for visibility models without a compiled model of sight: each move costs a full
-evaluation.
+"""Field (incremental evaluator) for visibility models with NumPy functions only: each move costs a full evaluation.
 
 The field runs as plain Python (`lmd.incremental.field.runner`). The field has no stacks (groups of coincident
 landmarks), because the visibility model cannot be evaluated without occlusion.
@@ -85,8 +84,9 @@ class ReferenceField:
 
 
 def field_of(objective: Objective, evaluator: Evaluator) -> Field:
-    """Field (incremental evaluator) of an objective; a `ReferenceField` if the visibility model has no compiled model
-    of sight.
+    """Field (incremental evaluator) of an objective.
+
+    The field is a `ReferenceField` if the visibility model has NumPy functions only, which compiled code cannot use.
 
     Raises:
         InputError: the objective has no field.

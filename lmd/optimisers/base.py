@@ -105,7 +105,11 @@ class Optimiser(ABC):
 
     @abstractmethod
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """Maximise the fitness of `problem` within `budget`; the result depends only on the seed and the problem."""
+        """Maximise the fitness of `problem` within `budget`.
+
+        Unless the budget limits the time, the result depends only on the settings, the seed, the problem and the
+        budget.
+        """
 
     @abstractmethod
     def found(self, problem: Problem) -> Deployment | None:
@@ -122,7 +126,7 @@ class Optimiser(ABC):
         """Call `step` until the budget is used up or `callback` stops the run; return the result of the run.
 
         `step` is called with the spent fraction of the budget. `spent` returns the exact number of evaluations spent,
-        which `ledger.evaluations` may have with rounding errors.
+        because `ledger.evaluations` may have rounding errors.
         """
         while (used := budget.used(spent(), self.ledger.seconds)) < 1.0:
             step(used)
@@ -336,7 +340,7 @@ class DeploymentSearch(Optimiser):
 
     @override
     def state(self) -> dict[str, Any]:
-        """See `Optimiser.state`; the data are the history and the best deployment, to which subclasses add theirs."""
+        """See `Optimiser.state`; the data are the history and the best deployment. Subclasses add their own data."""
         return {**self.ledger.state(), "best": None if self.best is None else deployment_state(self.best)}
 
     @override

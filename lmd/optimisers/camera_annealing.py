@@ -28,15 +28,17 @@ SHARE_SKIPPED = 0.5  # share of the schedule that is skipped for a given start
 class CameraAnnealing(Optimiser):
     """Simulated annealing of the mounts (poses) of the cameras of a rig, encoded as genes in [0, 1].
 
-    The annealing maximises an energy: the fitness plus `mean_share` times the mean of the objective's value over
-    positions. The temperature, the size of steps and the fraction of jumps change during the run from a first to a last
-    number. A run that starts from given cameras skips the first half of this course, because moves at a high
-    temperature would discard the given cameras.
+    The annealing maximises an energy: the fitness plus `mean_share` times the *mean value*. The objective gives each
+    position a value, and the mean value is the mean over positions, weighted by relevance. A move changes some genes of
+    a camera by random steps, or is a *jump*, which replaces all genes of the camera by random numbers. The temperature,
+    the size of steps and the fraction of jumps change during the run from a first to a last number. A run that starts
+    from given cameras skips the first half of these changes, because moves at a high temperature would discard the
+    given cameras.
 
     Args:
         temperature: first and last temperature, on the scale of the energy.
         step: first and last standard deviation of the random step of a gene.
-        jump: first and last fraction of moves that draw new values for all genes of a camera.
+        jump: first and last fraction of jumps among the moves.
         mean_share: small weight of the mean value in the energy. The mean value changes even where the fitness is
             constant, and so guides the search.
         seed: see `Optimiser`.

@@ -74,9 +74,9 @@ class PaperEncoding:
         return np.clip(np.hstack([(points - self.low) / self.size, angles]), 0.0, 1.0).reshape(-1)
 
     def _distance(self, points: FloatArray) -> FloatArray:
-        """Distance of points `(..., 3)` from each of W surfaces, `(..., W)`, metres.
+        """Distances `(..., W)` of the `points` `(..., 3)` from each of W surfaces, metres.
 
-        In a convex room it is the distance from the plane of the surface, which suffices to find the nearest surface.
+        In a convex room, distances are from the planes of surfaces, which suffice to find the nearest surface.
         """
         s, depth = self.surfaces, np.abs(self.surfaces.heights(points))
         if self.planes_tell:

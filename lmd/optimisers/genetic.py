@@ -128,9 +128,10 @@ class EGA(AskTell):
         self.population, self.fitness = genes[order], fitness[order]
 
     def _recombine(self, pool: FloatArray) -> FloatArray:
-        """Return the genes of the children of the parents in `pool`, `(M - 1 - Q, dim)` for parents and for children.
+        """Return the genes of the children, one for each parent in `pool`.
 
-        The child in row i has the genes of parent i, apart from an exchanged run.
+        Row i of the result has the genes of the parent in row i of `pool`, apart from an exchanged run. Both arrays
+        have one column for each gene.
         """
         assert self.population is not None
         shortest, longest = self.recombination_min, self.recombination_max

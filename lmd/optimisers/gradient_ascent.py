@@ -26,10 +26,14 @@ GROWTH, SHRINKAGE = 1.5, 0.5  # factors of the step after a trial that raises th
 
 @kernel
 def _smooth_fitness(target: Any, units: Any, width: float) -> Any:
-    """Smoothed fitness of a deployment, from the values of Q positions.
+    """Fitness of a deployment, with a smooth step in place of the objective's threshold.
 
-    `target` has the functions of the fitness, and `units` `(Q,)` are the values as integers (multiples of a small
-    unit). `width` is the width of the smooth step that replaces the threshold on values; values are in [0, 1].
+    The objective gives each camera position a value in [0, 1], to which the threshold applies.
+
+    Args:
+        target: functions that compute the fitness from the values of all positions, a `Target`.
+        units: values of Q positions as integers, multiples of 1 / `PROBABILITY_ONE`, `(Q,)`.
+        width: width of the smooth step, on the scale of the values.
     """
     total, terms = 0.0, np.empty(len(units))
     for p in range(len(units)):
@@ -41,8 +45,9 @@ def _smooth_fitness(target: Any, units: Any, width: float) -> Any:
 class GradientAscent(DeploymentSearch):
     """Gradient ascents on the smoothed objective, one after the other, each from a random deployment.
 
-    The objective is smoothed by a gradual transition in place of the threshold on the values of positions. The slope of
-    each landmark, along its surface, is a central difference of this objective, occlusion included.
+    The objective gives each position a value in [0, 1]. Smoothing replaces a threshold on this value by a gradual
+    transition. The slope of each landmark, along its surface, is a central difference of the smoothed objective,
+    occlusion included.
 
     A trial moves each landmark in the direction of its slope; all move by an equal length. If the smoothed objective
     rises, the trial is kept and the length grows, otherwise the length shrinks. When the length falls below its
@@ -55,7 +60,7 @@ class GradientAscent(DeploymentSearch):
     Args:
         step: first and smallest length by which a trial moves landmarks, metres. The present length is also the step of
             the central difference.
-        widths: widths of the transition in the order of use; values of positions are in [0, 1].
+        widths: widths of the transition, on the scale of the values, in the order of use.
         seed: see `Optimiser`.
 
     Raises:
@@ -200,7 +205,7 @@ class _Climb:
 
         Args:
             difference: step of the central difference, metres.
-            width: width of the smooth step that replaces the threshold on values; values are in [0, 1].
+            width: width of the smooth step that replaces the objective's threshold, see `GradientAscent`.
         """
         out, scratch = np.zeros((len(self._here), 2)), self._field.scratch(self._state)
         target = slope_target(self._target, self._state.units)
@@ -219,7 +224,7 @@ class _Climb:
     def rises(self, trial: Deployment, width: float) -> bool:
         """Move to the deployment `trial` if its smoothed fitness is higher; return True in this case.
 
-        `width` is the width of the smooth step that replaces the threshold on values; values are in [0, 1].
+        `width` is the width of the smooth step that replaces the objective's threshold, see `GradientAscent`.
         """
         state, smooth = self._field.state(trial), runner(self._field, _smooth_fitness)
         before, now = (smooth(self._target, each.units, width) for each in (self._state, state))

@@ -6,7 +6,7 @@ optical axis a of the camera. The program uses these numbers:
 - `A_jpa`: 1 if the view of position p and axis a sees a landmark at pose j (occlusion ignored), else 0;
 - `x_j`: number of landmarks at pose j; K is the number of landmarks to place;
 - `w_a`: probability of axis a; `r_p`: relevance of position p;
-- `thold_p`: position p is qualified if its views that see at least n landmarks have at least this total probability.
+- `thold_p`: total probability that views with at least n visible landmarks must reach for p to be qualified.
 
 The program is:
 
@@ -99,7 +99,7 @@ def per_pose(problem: Problem) -> int:
 
 
 def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
-    """Make the deployment with `taken` `(J,)` landmarks at the J poses; fixed landmarks come first.
+    """Make the deployment with `taken[j]` landmarks at the j-th of J poses; fixed landmarks come first.
 
     Landmarks that are points and share a pose are separated; tags are put in the order of the problem's sizes.
     """
@@ -142,8 +142,8 @@ def _used(problem: Problem) -> BoolArray:
 class Program:
     """Integer program of the module docstring, with J variables x, R variables y and P variables z.
 
-    J is the number of poses, and P the number of positions. Each of the R rows stands for all views of one position
-    that see the same set of poses.
+    J is the number of poses, and P the number of positions. A *row* consists of all views of one position that see the
+    same set of poses. The R rows have one variable y each.
     """
 
     covers: csr_array

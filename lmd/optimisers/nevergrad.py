@@ -26,7 +26,7 @@ class Nevergrad(Wrapped):
             before they propose again.
         budget: number of evaluations for which the method plans its search; if None, the method plans for `PLANNED`
             evaluations, and is restarted after these.
-        step: standard deviation of a step (genes span 1); None for nevergrad's default, 1/6.
+        step: standard deviation of a random step of a gene in [0, 1]; None for nevergrad's default, 1/6.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 

@@ -19,7 +19,7 @@ class PyCma(Wrapped):
         variant: form of the covariance matrix that is learnt. `full` is the whole matrix, which takes about 100
             evaluations per gene to learn. `separable` is one variance per gene; `vkd` is one variance per gene and a
             few directions.
-        step: initial standard deviation sigma_0 (genes span 1).
+        step: initial standard deviation sigma_0 of each gene in [0, 1].
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 

@@ -27,7 +27,10 @@ TIE_BONUS = 1e-12
 
 
 class LibraryOptimiser(Protocol):
-    """Interface of a running optimiser of another library, which minimises the loss."""
+    """Interface of a running optimiser of another library, which minimises the loss.
+
+    The loss is the negative fitness, with a tiny bonus for late candidates.
+    """
 
     def ask(self) -> FloatArray | None:
         """Return the next genes `(B, dim)`, or None when the optimiser has ended by its own criterion."""
@@ -139,9 +142,9 @@ def name_of(call: Callable[..., Any]) -> str:
 
 
 def with_tuples(call: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a partial function in which lists are replaced by tuples where the parameter's default is a tuple.
+    """Copy a `functools.partial`, and convert bound lists to tuples for parameters whose default is a tuple.
 
-    Configurations can only contain lists. A function without bound arguments is returned unchanged.
+    The conversion is needed because configurations can only contain lists. Any other function is returned unchanged.
     """
     if not isinstance(call, partial):
         return call

@@ -1,10 +1,10 @@
 """Steps 4 and 5 of the paper's procedure: test that yaw and pitch are independent, and fit of a probability density.
 
-A density is represented by the probabilities of fine cells of equal width over each angle. Several families of
-densities, parametric families and a kernel estimate, are compared by cross-validation. The recording is divided into
-contiguous sections (folds). A family is fitted to all folds but one, and its log-likelihood is computed for the samples
-of the omitted fold. The one-standard-error rule chooses the simplest family that is worse than the best family by at
-most one standard error of the difference of their mean log-likelihoods.
+The range of an angle is divided into fine cells of equal width, and a density is represented by the probabilities of
+these cells. Parametric families of densities and a kernel estimate are compared by cross-validation. The recording is
+divided into contiguous sections (folds). A family is fitted to all folds but one, and its log-likelihood is computed
+for the samples of the omitted fold. The one-standard-error rule chooses the simplest family that is worse than the best
+family by at most one standard error of the difference of their mean log-likelihoods.
 """
 
 from collections.abc import Callable, Sequence
@@ -217,14 +217,15 @@ def _folds(count: int) -> list[IntArray]:
 
 
 def _log_likelihood(probability: FloatArray, count: float, index: IntArray) -> FloatArray:
-    """Logarithm of the probability of each held-out sample's cell, `(S,)`.
+    """Logarithm of the probability that each of S samples lies in its cell, `(S,)`.
 
-    The density is mixed with one additional uniform sample, so that the log probability of an outlier is finite.
+    The probabilities were fitted to other samples. An additional sample, spread evenly over all cells, keeps the
+    logarithm finite for a cell of probability 0.
 
     Args:
-        probability: probabilities of all cells, fitted to other samples.
-        count: number of the samples to which the probabilities were fitted.
-        index: index of each held-out sample's cell, `(S,)`.
+        probability: fitted probabilities of all cells.
+        count: number of samples to which the probabilities were fitted.
+        index: index of the cell of each of the S samples, `(S,)`.
     """
     flat = probability.reshape(-1)
     return np.asarray(np.log((count * flat[index] + 1.0 / flat.size) / (count + 1.0)))
@@ -252,9 +253,10 @@ class Independence:
 def independence_test(samples: Samples, significance: float, rng: np.random.Generator) -> Independence:
     """Test by Pearson's chi-squared statistic that yaw and pitch are independent.
 
-    The statistic is computed from a contingency table: the numbers of samples in each combination of a bin of yaw and a
-    bin of pitch. Bins have about equal numbers of samples. The p-value is the fraction of random tables, with the row
-    and column sums of the data, whose statistic is at least that of the data, so it is also valid for few samples.
+    The statistic is computed from a contingency table, which has the numbers of samples in bins of yaw (rows) and bins
+    of pitch (columns). Bins have about equal numbers of samples. Random tables with equal row and column sums are
+    drawn. The p-value is the fraction of tables whose statistic is at least that of the samples. The p-value is
+    therefore valid for few samples, too.
 
     The test assumes independent samples. If samples were closer in time than the correlation time of the recording, the
     test would reject too often.
@@ -281,6 +283,9 @@ def circular_difference(angle: FloatArray, origin: float) -> FloatArray:
 
 
 def _equal_bins(values: FloatArray, bins: int) -> IntArray:
-    """Bin index of each value, `(S,)`; no bin is empty, and frequencies are as equal as ties allow."""
+    """Divide `values` `(S,)` into at most `bins` bins of about equal frequency; return each value's bin, `(S,)`.
+
+    Equal values are in one bin, so frequencies may differ. No bin is empty.
+    """
     inner = np.quantile(values, np.arange(1, bins) / bins)
     return np.asarray(np.unique(np.searchsorted(inner, values, side="right"), return_inverse=True)[1], dtype=np.int64)

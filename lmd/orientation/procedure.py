@@ -61,12 +61,12 @@ class Marginal:
 
     @property
     def angles(self) -> FloatArray:
-        """Middles of the density's fine cells, `(M,)`, or the fixed angle, `(1,)`, radians."""
+        """Middles of the density's M fine cells, `(M,)`, radians; if the angle is fixed, this angle, `(1,)`."""
         return np.array([self.density.parameters["value"]]) if self.is_fixed else self.axis.centres
 
     @property
     def grid_cell(self) -> IntArray:
-        """Index of the orientation grid's cell that contains each of `angles`, `(M,)`, or `(1,)` for a fixed angle."""
+        """Index of the orientation grid's cell in which each of `angles` lies, `(M,)`; 0 for a fixed angle."""
         return np.arange(len(self.angles)) // self.block
 
     @property

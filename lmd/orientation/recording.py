@@ -79,9 +79,10 @@ class OrientationRecording:
         return self.duration / (len(self.time) - 1)
 
     def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Yaw and pitch, radians, `(S,)` each, at S times within the recording: those of the last record before a time.
+        """Yaw and pitch, radians, `(S,)` each, at S times within the recording.
 
-        There is no interpolation, so the jump of the yaw between pi and -pi does no harm.
+        Each time gets the angles of the last record up to this time. There is no interpolation, so the jump of the yaw
+        between pi and -pi does no harm.
         """
         index = np.searchsorted(self.time, time, side="right") - 1
         return self.yaw[index], self.pitch[index]
@@ -277,11 +278,15 @@ def sample_at_random_intervals(
 
 
 def integrated_correlation_time(recording: OrientationRecording) -> float:
-    """Integrated autocorrelation time, seconds: the larger of the times of yaw and pitch.
+    """Integrated autocorrelation time T of a recording, seconds: the larger one of T of the yaw and T of the pitch.
 
-    The time of an angle is T = step (1 + 2 sum_k rho_k), with the autocorrelation rho_k at a lag of k steps, summed up
-    to the first lag with rho_k <= 0. For the yaw alpha, rho is the autocorrelation of the unit vector
-    `(cos alpha, sin alpha)`, which has no seam. For a fixed angle, T is one step.
+    A mean over a long duration D is as uncertain as a mean of D / T independent samples. For one angle,
+
+        T = step (1 + 2 sum_k rho_k).
+
+    step is the mean time between records, and rho_k the autocorrelation at a lag of k >= 1 steps. The sum ends before
+    the first lag with rho_k <= 0. For the yaw alpha, rho_k is the autocorrelation of `(cos alpha, sin alpha)`, which
+    does not jump between pi and -pi. For a fixed angle, T is one step.
     """
     times = np.linspace(recording.time[0], recording.time[-1], len(recording.time))
     yaw, pitch = recording.at(times)

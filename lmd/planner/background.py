@@ -47,7 +47,7 @@ class Worker(Generic[Question]):
     def ask(self, question: Question | None) -> None:
         """Replace the present question by `question`; None only ends the work on the present question.
 
-        The thread works once on a question, unless it is replaced before. Asking the present question again has no
+        The thread works once on each question that is not replaced first. Asking the present question again has no
         effect.
         """
         with self._changed:
@@ -60,7 +60,8 @@ class Worker(Generic[Question]):
     def close(self) -> None:
         """Ask the thread to end, and wait for at most `PATIENCE_SECONDS`.
 
-        The thread ends when it checks next that its result is still wanted; this is not checked during compilation.
+        While the thread works, it asks from time to time if the result is still wanted, and ends if not. During the
+        compilation of functions it does not ask, so the thread may outlive this call.
         """
         with self._changed:
             self._question, self._closing = None, True
@@ -92,8 +93,8 @@ class UnwantedError(Exception):
 def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted) -> Iterator[dict[str, str]]:
     """Yield the metrics of a deployment at random poses off the grid, as sentences keyed by label.
 
-    Estimates from a small sample of poses come first, then the values that the command `evaluate` gives. If the scene
-    has recorded poses, only the latter are computed, for these poses.
+    First come estimates from a small sample of poses, then the metrics that the command `evaluate` gives. If the scene
+    has recorded poses, only one set of metrics is yielded, that at the recorded poses.
 
     Args:
         problem: scene and objective.
@@ -160,7 +161,10 @@ class Background:
         self._worker.close()
 
     def show_additions(self, _: Any = None) -> None:
-        """Colour the surfaces by the gain by one more tag at each place, or grey if the user has not chosen this."""
+        """Colour the surfaces by the gain by one more tag at each place.
+
+        Surfaces are grey before gains are known, and if the user has switched these colours off.
+        """
         gains = self.additions if self._panel.additions.value else None
         self._picture.show_additions(gains)
         self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))

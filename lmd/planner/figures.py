@@ -25,7 +25,7 @@ CANDIDATE_BATCH = 64  # number of candidate places between two checks whether th
 
 
 class Values:
-    """Values of the objective at the grid's positions, and metrics, of a deployment that changes.
+    """The objective's values at the grid's positions, and the metrics, for a deployment that changes.
 
     When tags move, only the changes of values are computed (`lmd.incremental.field`), which is fast. All values are
     computed again when the number or sizes of tags change. Results equal those of `Problem` bit for bit.
@@ -95,10 +95,10 @@ class _FieldValues:
 
 @kernel
 def _add_up(units, relevance, value):  # type: ignore[no-untyped-def]
-    """Write the weighted mean of each row of `units` `(N, Q)` into `value` `(N,)`.
+    """Write the objective's mean value for each of N deployments into `value` `(N,)`; means are in [0, 1].
 
-    `units` are values at Q positions, as integers: multiples of 1 / `PROBABILITY_ONE`. `relevance` `(Q,)` are the
-    weights of the positions, with the sum 1. Means are in [0, 1].
+    Row i of `units` `(N, Q)` has the objective's values for deployment i at Q positions, as integers: multiples of
+    1 / `PROBABILITY_ONE`. `relevance` `(Q,)` are the weights of the positions, with the sum 1.
     """
     for i in range(len(units)):
         total = 0.0
@@ -124,8 +124,8 @@ def additions(
 ) -> FloatArray | None:
     """Increase (gain) of the objective's mean value by one more tag, for each of N poses of this tag.
 
-    The mean is over positions, weighted by relevance. Unlike the fitness, it also distinguishes places where a new tag
-    lifts no position over the threshold. Gains are exact, occlusion by the new tag included.
+    The mean is over positions, weighted by relevance. Unlike the fitness, the mean also distinguishes places where a
+    new tag lifts no position over the threshold. Gains are exact, occlusion by the new tag included.
 
     Args:
         problem: scene and objective; gains are computed on its grid.

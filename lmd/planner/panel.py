@@ -28,7 +28,7 @@ class PlannerPanel:
 
     Args:
         gui: GUI of a server of viser.
-        value: label for the values at the positions.
+        value: name of the objective's value, which colours the camera positions.
         budget: initial budget of searches; users may change its limits.
         ids: True to show the ids of tags at first.
         edges: edge lengths that tags may have, metres.
@@ -126,7 +126,7 @@ class PlannerPanel:
         self._progress.content = _paragraph("progress", text)
 
     def show_span(self, span: tuple[float, float]) -> None:
-        """Set the values `span` of the first and the last colour of positions, as shown in the legend."""
+        """Show in the legend that the colours of positions represent the objective's values from span[0] to span[1]."""
         self._span = span
         self.show_legend(self._most)
 
@@ -153,8 +153,8 @@ def _legend_html(value: str, span: tuple[float, float], most: float | None) -> s
     """Table in HTML that explains the colours.
 
     Args:
-        value: label for the values at the positions.
-        span: values, from 0 to 1, that the first and the last colour of positions represent.
+        value: name of the objective's value, which colours the camera positions.
+        span: values, in [0, 1], that the first and the last colour of positions represent.
         most: gain that the brightest colour of surfaces represents; None while surfaces are grey.
     """
     rows = [f'<td colspan=2 style="white-space: normal">positions: {html.escape(value)}</td>']

@@ -84,9 +84,9 @@ class Planner:
         return self._access.address(self._server.get_port())
 
     def run(self) -> None:
-        """Run actions until an exception other than `InputError` is raised.
+        """Run actions until an exception other than `InputError` is raised, for example by Ctrl-C.
 
-        Then the best deployment of a running search is applied to the plan.
+        At this end, the best deployment of a running search is applied to the plan.
         """
         try:
             while True:

@@ -1,3 +1,4 @@
-"""Figures of scenes, of studies and of optimisation runs; plotting libraries are imported only when a figure is
-drawn.
+"""Figures of scenes, of studies and of optimisation runs.
+
+Plotting libraries are imported only when a figure is drawn.
 """

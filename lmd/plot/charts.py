@@ -1,6 +1,4 @@
-"""Charts of metrics, as PNGs: the convergence of a run, comparisons of optimisers, trade-offs, heat maps, and
-sensitivity.
-"""
+"""Charts of metrics, as PNGs: convergence of a run, comparisons of optimisers, trade-offs, heat maps, sensitivity."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -296,12 +294,13 @@ def _written(value: object) -> str:
 
 
 def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels: sensitivity of two shares of views to assumptions and to lost landmarks.
+    """Write a PNG of 1500 x 500 pixels: sensitivity of a deployment to assumptions and to lost landmarks.
 
-    The shares are those of the localised views and of the views with enough covered landmarks. The first panel plots
-    both shares against factors on the assumptions. The second panel plots them against the fraction of covered
-    landmarks that are missed at random. The third panel shows the losses of both shares if one landmark is lost, for
-    each landmark, and if the worst pair is lost.
+    The panels show two shares of random camera poses: poses that are localised, and poses with enough covered
+    landmarks. The first panel plots both shares against the factors by which assumptions of the problem, such as the
+    pixel noise, are multiplied. The second panel plots both shares against the fraction of covered landmarks that are
+    missed at random. The third panel shows the decrease of both shares if one landmark is lost, for each landmark, and
+    if the worst pair is lost.
     """
     from lmd.evaluation.sensitivity import SHARE_COLUMNS
 

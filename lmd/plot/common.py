@@ -91,9 +91,7 @@ def logarithmic_ticks(low: float, high: float) -> FloatArray:
 
 
 def set_log_ticks(axis: Any, low: float, high: float) -> None:
-    """Set a few round numbers as ticks of a logarithmic axis or colour bar from `low` to `high`, and remove minor
-    ticks.
-    """
+    """Set a few round ticks on a logarithmic axis or colour bar from `low` to `high`, and remove minor ticks."""
     set_ticks(axis, logarithmic_ticks(low, high))
 
 
@@ -156,7 +154,7 @@ def landmark_groups(count: int, fixed: int) -> list[Group]:
 
 
 def qualified_labels(is_qualified: BoolArray, threshold: float) -> tuple[str, str]:
-    """Legend entries of the qualified and of the unqualified positions."""
+    """Legend entries, with shares, of the qualified positions (probability at least `threshold`) and of all others."""
     share = 100.0 * is_qualified.mean()
     return (f"qualified, probability ≥ {threshold:g} ({share:.1f} %)", f"unqualified ({100.0 - share:.1f} %)")
 
@@ -171,9 +169,9 @@ def draw_plan(axes: Any, room: Space, **style: Any) -> None:
 
 
 def draw_tags(axes: Any, deployment: Deployment, groups: Sequence[Group]) -> None:
-    """Draw landmarks from above: arrows along their normals in the colours of the landmarks' groups, and the ids in
-    front of the landmarks.
+    """Draw landmarks from above, with their ids.
 
+    Each landmark is drawn as an arrow along its normal, in the colour of its group. The id is in front of the arrow.
     Landmarks that are above each other share one text with all their ids.
     """
     at, ways = deployment.positions[:, :2], deployment.normals[:, :2]
@@ -193,8 +191,9 @@ def draw_tags(axes: Any, deployment: Deployment, groups: Sequence[Group]) -> Non
 
 
 def series(number: int) -> dict[str, str]:
-    """Colour and line style of the curve with the index `number`, from 0, in figures of several optimisers. There are
-    ten colours; the next ten curves repeat these colours with another dash pattern.
+    """Colour and line style of the curve with the index `number`, from 0, in figures of several optimisers.
+
+    There are ten colours; the next ten curves repeat these colours with another dash pattern.
     """
     return {"color": f"C{number % HUES}", "linestyle": DASHES[number // HUES % len(DASHES)]}
 

@@ -35,7 +35,7 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
     Args:
         path: path of the PNG.
         figures: rows of `lmd.detection.predictions.figures` with the columns `deployment` and `detector`.
-        pitches: rows of `by_pitch` with the columns `deployment` and `detector`.
+        pitches: rows of `lmd.detection.predictions.by_pitch` with the columns `deployment` and `detector`.
         title: title of the figure.
     """
     names, detectors = list(figures.deployment.unique()), list(figures.detector.unique())

@@ -249,9 +249,7 @@ def _draw_offsets(axes: Any, survey: "Survey") -> None:
 
 
 def _draw_sigmas(axes: Any, survey: "Survey") -> None:
-    """Draw the standard deviation of each tag's position against the number of sightings that determine the
-    position.
-    """
+    """Draw the standard deviation of each tag's position against the number of sightings that determine it."""
     from lmd.survey.results import tag_columns
 
     columns = tag_columns(survey)
@@ -271,8 +269,10 @@ MOST_CHANGED = 12  # largest number of changed tags that are named
 
 
 def save_localised_figure(path: str | Path, result: "Localisation", room: Space | None, title: str) -> None:
-    """Write a PNG of 1500 x 700 pixels: the localised camera poses from above, and the standard deviation of the
-    camera's position against time.
+    """Write a PNG of 1500 x 700 pixels with two panels about the camera poses of a localisation.
+
+    The left panel shows the poses from above. The right panel plots the standard deviation of the camera's position
+    against time.
 
     Args:
         path: path of the PNG.

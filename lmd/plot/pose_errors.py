@@ -1,5 +1,7 @@
-"""Figures of pose errors, as PNGs: errors of estimators against time, errors with several maps of the tags, and the
-uncertainty of the pose from single images in a room.
+"""Figures of pose errors, as PNGs.
+
+The figures show errors of estimators against time, errors with several maps of the tags, and the uncertainty of the
+pose from single images in a room.
 """
 
 from pathlib import Path
@@ -114,14 +116,14 @@ def save_uncertainty_figure(
     The first panel shows the room from above, divided into cells. The colour of a cell is the share of views with an
     unambiguous pose, and an arrow shows the heading of the camera for which this share is least. The second panel shows
     the median standard deviation of the position per axis in each cell, over the views with an unambiguous pose. The
-    third panel plots this standard deviation against the mean distance of the tags, with the fitted law.
+    third panel plots this standard deviation against the mean distance of the tags, and the law (fitted formula).
 
     Args:
         path: path of the PNG.
         problem: problem with the room.
         deployment: K tags.
         found: uncertainty in all views.
-        law: formulas fitted to the standard deviations.
+        law: laws, i.e. a formula fitted to each standard deviation of the pose.
         title: title of the figure.
     """
     length, width, _ = common.size_of(problem.scene.room)
@@ -212,7 +214,7 @@ def _draw_errors(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntA
 
 
 def _draw_law(axes: Any, views: Any, law: UncertaintyLaw) -> None:
-    """Plot the standard deviation of the position against the mean distance of the tags, with the fitted law."""
+    """Plot the position's standard deviation in each view, and the formula fitted to it, against mean tag distance."""
     one = views[views.one]
     for number in NUMBERS:
         some = one[one.tags == number]

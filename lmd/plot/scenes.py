@@ -1,4 +1,4 @@
-"""Figures of deployments in the style of the paper, as PNGs: room, landmarks, and the value at each position."""
+"""Figures of deployments in the style of the paper, as PNGs: room, landmarks, and the objective at each position."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,8 +25,9 @@ Groups: TypeAlias = Sequence[common.Group]
 def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
     """Write a PNG of 1500 x 750 pixels with two pictures of the room.
 
-    In one picture, the colours of the positions show the objective's value. In the other, they show the qualified
-    positions. If all positions have one height, the room is drawn from above, with the ids of the landmarks.
+    In one picture, the colour of a position shows the objective's value there. In the other, the colour shows if the
+    position is qualified, i.e. if the value reaches the threshold. If all positions have one height, the room is drawn
+    from above, with the ids of the landmarks.
 
     Args:
         path: path of the PNG.
@@ -58,7 +59,8 @@ def _draw_in_space(
 ) -> tuple[Any, Any]:
     """Draw two pictures of the room in perspective; return the figure and the colour bar of the first picture.
 
-    The first picture shows `values` at the positions, the second shows the mask `good` of the qualified positions.
+    The first picture shows the objective's value `values` at each position. The second shows the qualified positions,
+    the mask `good`.
     """
     from matplotlib.figure import Figure
 
@@ -80,7 +82,8 @@ def _draw_from_above(
 ) -> tuple[Any, Any]:
     """Draw two pictures of the room from above; return the figure and the colour bar of the first picture.
 
-    The first picture shows `values` at the positions, the second shows the mask `good` of the qualified positions.
+    The first picture shows the objective's value `values` at each position. The second shows the qualified positions,
+    the mask `good`.
     """
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Rectangle

@@ -180,8 +180,9 @@ class Canvas:
         return np.asarray(self.cv2.GaussianBlur(light, (kernel, kernel), sigma, borderType=border))
 
     def _fill(self, image: Any, outline: FloatArray, value: float) -> None:
-        """Fill a convex outline in `image` with `value`. The outline `(m, 2)` is in pixels from the outer corner of the
-        top left pixel.
+        """Fill a convex outline in `image` with `value`.
+
+        The outline `(m, 2)` is in pixels from the outer corner of the top left pixel.
         """
         if len(outline) >= 3:
             points = np.rint((outline - 0.5) * 2**SHIFT).astype(np.int32)

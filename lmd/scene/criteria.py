@@ -53,8 +53,8 @@ class SightModel(Protocol):
         """Angular margin, rad, from the border of the field of view, with which a landmark is *well in view*.
 
         The field of view then contains the cone with this half-angle around the landmark's direction (tested by
-        `in_view`). A landmark that is well in view is covered if its depth is between the results `low` and `sure` of
-        `from_position`.
+        `in_view`). A landmark that is well in view is covered if its depth along the optical axis is between the bounds
+        `low` and `sure`, which `from_position` returns.
         """
 
     @property
@@ -180,7 +180,7 @@ def from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> A
         reached: False only if no orientation covers the landmark.
         low, high: bounds on the depth of a covered landmark along the optical axis, metres; `high` ignores the slack.
         sure: depth, metres. An orientation covers the landmark if the landmark is well in view (`SightModel.inset`) at
-            a depth between `low` and `sure`; infinite if no depth is too large. `sure` ignores the slack.
+            a depth between `low` and `sure`. `sure` is infinite if no depth is too large, and ignores the slack.
     """
 
 
@@ -197,15 +197,17 @@ def from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> An
         reached: False only if no orientation at any of the positions covers the landmark.
         most: upper bound on the depth along the optical axis of a covered landmark, metres.
         start, sure: depths, metres. An orientation covers the landmark if the landmark is well in view
-            (`SightModel.inset`) and its depth is between `start` and `sure`. `start` is -inf if no depth is too small;
-            `sure` is inf if no depth is too large, -inf if coverage is never certain.
+            (`SightModel.inset`) and its depth is between `start` and `sure`. `start` is -inf if no depth is too small.
+            `sure` is inf if no depth is too large, and -inf if coverage is never certain.
     """
     return True, math.inf, 0.0, -math.inf
 
 
 @dispatched
 def in_image(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axis: Vector, right: Vector) -> Any:
-    """True if an orientation covers a landmark for which `from_position` returned `reached`; occlusion is ignored.
+    """True if an orientation covers a landmark; occlusion is ignored.
+
+    `from_position` must have returned `reached` = True for this landmark.
 
     Args:
         offset: offset of the landmark from the camera, world frame, metres.
@@ -234,7 +236,7 @@ def in_view(sight: Any, way: Vector, sine: float, cosine: float, axis: Vector, r
 
 @inlined
 def in_cone(least: float, way: Vector, sine: float, cosine: float, axis: Vector) -> Any:
-    """Result of `in_view` for a model whose field of view is a cone around the optical axis.
+    """True if a conical field of view around the optical axis contains the whole cone around `way`, as in `in_view`.
 
     `least` is the cosine of the half-angle of the field of view. The other arguments are those of `in_view`.
     """
@@ -260,18 +262,18 @@ def hide(sight: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: V
 def hide_between(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
     """Test as in `hide` for two landmarks A and B of different sizes; return two booleans.
 
-    Each landmark has its own compiled model (see `sized`): `sight` for A, `other` for B. A model with landmarks of
-    several sizes registers this function instead of `hide`.
+    Each landmark has its own model of sight (see `sized`): `sight` for A, `other` for B. A model of sight for landmarks
+    of several sizes registers this function instead of `hide`.
     """
     return hide(sight, a, aa, b, bb, u, v)
 
 
 @inlined
 def covers(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axes: FloatArray, a: Integer) -> Any:
-    """Result of `in_image` for column `a` of `axes` `(6, D)`, which has one column for each of D orientations.
+    """True if the orientation in column `a` of `axes` `(6, D)` covers a landmark, as tested by `in_image`.
 
-    Rows 0 to 2 are the optical axis, rows 3 to 5 the direction to the right in the image. The other arguments are those
-    of `in_image`.
+    `axes` has a column for each of D orientations. Rows 0 to 2 are the optical axis, rows 3 to 5 the direction to the
+    right in the image. The other arguments are those of `in_image`.
     """
     axis, right = pair3(axes, a)
     return in_image(sight, offset, normal, low, slack, axis, right)
@@ -279,22 +281,26 @@ def covers(sight: Any, offset: Vector, normal: Vector, low: float, slack: float,
 
 @overridable
 def frame_of(sight: Any, normal: Vector) -> Any:
-    """Compute `frame`, an argument of `covers_one` that depends only on the unit normal `normal` of a landmark.
+    """Return the vectors that describe how a landmark is turned, from the landmark's unit normal `normal`.
 
-    `frame` is computed once, and used for many orientations. The default is the normal itself.
+    By default the result is the normal itself. For tags, the result is the normal, the tag's direction to the right and
+    the tag's up vector. The result is computed once, and used by `covers_one` for many orientations.
     """
     return normal
 
 
 @overridable
 def covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray, a: Integer) -> Any:
-    """Result of `covers` with a slack of 0; a model with an expensive test may register a faster function for it.
+    """True if the orientation in column `a` of `axes` covers a landmark; occlusion is ignored.
+
+    By default this is the result of `covers`. A model with an expensive test may register a faster function.
 
     Args:
+        sight: model of sight of the landmark.
         offset: offset of the landmark from the camera, world frame, metres.
-        frame: result of `frame_of`.
-        depths: results `low`, `high` and `sure` of `from_position`.
-        well: True if the landmark is well in view at orientation a, see `SightModel.inset`.
+        frame: vectors that describe how the landmark is turned, from `frame_of`.
+        depths: the bounds `low`, `high` and `sure` on the landmark's depth, which `from_position` returns.
+        well: True if the landmark is well in view at this orientation, see `SightModel.inset`.
         axes: orientations, one per column, `(6, D)`, as in `covers`.
         a: column of the orientation.
     """
@@ -321,22 +327,23 @@ def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> A
 def covering(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """Test which of 64 consecutive orientations cover a landmark; bit masks stand for the orientations.
+    """Test which of 64 consecutive orientations cover a landmark; return a 64-bit integer with a bit for each.
 
-    If a bit of `left` is set, the function tests all orientations in the bit's half of the integer. For a cheap test
-    this is faster than iterating over the set bits.
+    Bit i stands for the orientation in column 64 w + i of `axes`. If any bit in one half of `left` is set, the function
+    tests all 32 orientations of this half. For a cheap test this is faster than iterating over the set bits.
 
     Args:
-        left: bits of the orientations to test, 64-bit integer.
-        w: index of this integer in the mask of all orientations; bit i stands for column 64 w + i of `axes`.
+        left: 64-bit integer; bits are set for the orientations to test.
+        w: index of the 64 orientations: they are the columns 64 w to 64 w + 63 of `axes`.
         offset: offset of the landmark from the camera, world frame, metres.
-        frame: result of `frame_of`.
-        depths: results `low`, `high` and `sure` of `from_position`.
-        well: bits of the orientations at which the landmark is well in view, see `SightModel.inset`.
+        frame: vectors that describe how the landmark is turned, from `frame_of`.
+        depths: the bounds `low`, `high` and `sure` on the landmark's depth, which `from_position` returns.
+        well: 64-bit integer; bits are set for the orientations at which the landmark is well in view, see
+            `SightModel.inset`.
         axes: orientations, one per column, `(6, D)`, as in `covers`.
 
     Returns:
-        bits of the orientations in `left` that cover the landmark.
+        64-bit integer; bits are set for the orientations in `left` that cover the landmark.
     """
     visible = ZERO
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
@@ -352,9 +359,10 @@ def covering(
 def depth_first(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """Result of `covering`, computed faster for models with an expensive test.
+    """Test which of 64 orientations cover a landmark, as `covering` does, but faster for models with a slow test.
 
-    The function first compares the landmark's depth with the bounds in `depths`, which decides most orientations.
+    The function first compares the landmark's depth with the bounds in `depths`. For most orientations this comparison
+    decides the result. Arguments and result are those of `covering`.
     """
     within, shallow, (low, high, sure) = ZERO, ZERO, depths
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):

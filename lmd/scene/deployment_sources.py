@@ -72,9 +72,9 @@ class UniformDeployment(Checked):
 
     Args:
         count: number of landmarks K.
-        layout: `per_wall` for equal numbers on all walls, as in the paper (15 on each wall); if K is not divisible by
-            the number of walls, the largest walls get one landmark more. `by_area` for numbers in proportion to the
-            areas of the walls.
+        layout: `per_wall` for equal numbers on all walls, as in the paper (15 on each wall), or `by_area` for numbers
+            in proportion to the areas of the walls. If K is not divisible by the number of walls, `per_wall` gives the
+            largest walls one landmark more.
     """
 
     count: LandmarkCount

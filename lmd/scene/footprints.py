@@ -128,7 +128,8 @@ class Footprints:
         """Allowed centres of footprints with each of the S edge lengths `papers` `(S,)`, metres.
 
         Returns:
-            pieces: trapezoids that contain the allowed centres, `(T, 6)`, see `lmd.space.allowed`.
+            pieces: T trapezoids that contain the allowed centres, `(T, 6)`; `lmd.space.allowed` explains the six
+                numbers of a trapezoid.
             first: `(S, W + 1)` for W surfaces; rows `first[c, w]` to `first[c, w + 1] - 1` of `pieces` are the
                 trapezoids for edge length c on surface w.
         """
@@ -278,9 +279,10 @@ class Footprints:
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
         """Push the footprints of B deployments apart, until none overlaps another or leaves the allowed region.
 
-        The fixed footprints stay. The others are placed one after another, the largest first. A footprint that overlaps
-        an earlier footprint, or extends beyond the allowed region, is moved to the nearest free place on its surface,
-        or else on the next surface with a free place. The result is deterministic, so a search need not store it.
+        The fixed footprints stay. The others are placed one after another, the largest first. A footprint is moved if
+        it overlaps an earlier footprint or extends beyond the allowed region. The new place is the nearest free place
+        on its surface; if this surface is full, the next surface with a free place is used. The result is
+        deterministic, so a search need not store it.
 
         Landmarks that are points are moved to the nearest allowed place.
 
@@ -327,7 +329,7 @@ class Footprints:
         return np.asarray(near & (surface == pose.surfaces))
 
     def _lies_flat(self, normals: FloatArray, surfaces: IntArray) -> BoolArray:
-        """Mask of the tags that are flush with a surface, `(K,)`."""
+        """Mask `(K,)` of the tags that are flush with their surface; a tag without a surface (index -1) is not."""
         deviation = np.linalg.norm(normals - self._surfaces.normal[surfaces], axis=1)
         return np.asarray((surfaces >= 0) & (deviation <= FLUSH))
 

@@ -130,11 +130,11 @@ UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
 class Surveyed:
     """Measured positions and up vectors of K landmarks.
 
-    A landmark's measurement is ignored if the landmark was moved, so that its present position is not in `positions`.
+    A landmark whose present position differs from `positions` has been moved, and its measurement is ignored.
 
     Args:
-        positions: positions on or in front of the surfaces, world frame, metres, `(K, 3)`. The values equal `places`,
-            except for landmarks measured behind a surface, which are moved to the surface.
+        positions: positions on or in front of the surfaces, world frame, metres, `(K, 3)`. A landmark that was measured
+            behind its surface is moved to the surface; for all others this is the measured position.
         places: measured positions, world frame, metres, `(K, 3)`.
         ups: unit vectors from the centres of the tags to their upper edges, world frame, `(K, 3)`.
     """

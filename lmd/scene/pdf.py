@@ -97,7 +97,7 @@ class OrientationPdf:
 
     @cached_property
     def by_axis(self) -> Orientations:
-        """Orientations of the PDF; those with equal optical axes are merged.
+        """Orientations of the PDF; those with equal optical axes are merged, and their probabilities are added.
 
         Axes are equal at each pole and for the yaws pi and -pi. For example, the 325 orientations of `grid_with_ends`
         have 266 distinct axes.
@@ -142,10 +142,10 @@ class OrientationPdf:
     def stratified(self, divisions: int, rng: np.random.Generator) -> "OrientationPdf":
         """PDF of equally weighted, stratified draws from `continuous`; the PDF itself if `continuous` is None.
 
-        Yaw and pitch are divided into 2 `divisions` x `divisions` cells of equal probability, and one orientation is
-        drawn in each cell. Estimates are unbiased, as for independent draws, but more accurate: the error of P_n, the
-        probability that at least n landmarks are covered, falls as divisions^-1.5 instead of divisions^-1. If only the
-        yaw varies, there are about 2 divisions^1.5 cells, which gives an error of equal order.
+        With m = `divisions`, yaw and pitch are divided into 2 m x m cells of equal probability. One orientation is
+        drawn in each cell. Estimates are unbiased, as for independent draws, but more accurate. The error of P_n, the
+        probability that at least n landmarks are covered, falls as m^-1.5; for independent draws it falls as m^-1. If
+        only the yaw varies, there are about 2 m^1.5 cells, and the error also falls as m^-1.5.
         """
         if self.continuous is None:
             return self
@@ -285,8 +285,8 @@ def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     With 12 divisions the grid has 25 x 13 = 325 orientations (`grid_325`). The paper's tables must have used this grid,
     as all maxima printed there are multiples of 1/325.
 
-    The PDF is uniform over the angles, not over the sphere: each pole has 25 orientations, and each direction with a
-    yaw of +-pi has two.
+    The PDF is uniform over the angles, not over the sphere. Each pole has as many orientations as there are yaws, and
+    each other direction with a yaw of +-pi has two.
 
     Args:
         divisions: number of steps in pitch, each pi / divisions; half the number of steps in yaw.
@@ -302,8 +302,8 @@ def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     """PDF uniform over yaw and pitch, on the grid that the paper's text describes.
 
-    The yaws are -pi, ..., pi - step, and the pitches are the middles of the steps. With 12 divisions the grid has 24 x
-    12 = 288 orientations (`grid_288`).
+    The yaws go from -pi to pi - step. The pitches are the middles of equal bands between -pi/2 and pi/2. With 12
+    divisions the grid has 24 x 12 = 288 orientations (`grid_288`).
 
     Args:
         divisions: number of steps in pitch, each pi / divisions; half the number of steps in yaw.

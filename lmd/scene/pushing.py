@@ -13,7 +13,10 @@ NEARBY_EDGES = 3.0
 
 @inner
 def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
-    """True if footprint k, centred at (a, b) on surface s, overlaps none of the footprints 0 to k - 1, see `push`."""
+    """True if footprint k, centred at (a, b) on surface s, would overlap none of the footprints 0 to k - 1.
+
+    `surface`, `at` and `edge` are those of `push`.
+    """
     free = True
     for j in range(k):
         least = (edge[j] + edge[k]) / 2.0 * (1.0 - TOUCHING)
@@ -23,10 +26,10 @@ def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
 
 @inner
 def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-def]
-    """Find an interval of blocked places for footprint k; return both ends, which are equal if (a, b) is free.
+    """Find the interval around b whose places (a, q) are blocked for footprint k; return its lower and upper end.
 
-    The places (a, q) on surface s are blocked for each q inside the interval, which contains b: there the footprint
-    would overlap one of the footprints 0 to k - 1. `beside` `(2, K)` is working memory.
+    A place (a, q) on surface s is blocked if footprint k, centred there, would overlap an earlier footprint. Both ends
+    are b if (a, b) is free. `surface`, `at` and `edge` are those of `push`; `beside` `(2, K)` is working memory.
     """
     low, high, count, grows = b, b, 0, True
     for j in range(k):
@@ -47,9 +50,10 @@ def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-
 def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, beside, found):  # type: ignore[no-untyped-def]
     """Find the free place for footprint k nearest to (a, b) on surface s, and write its coordinates into `found`.
 
-    At the nearest place, footprint k touches another footprint or the border of the allowed centres, so only such
-    coordinates are tried. Footprints more than `within` metres from (a, b) give no such coordinates. Rows `start` to
-    `stop - 1` of `pieces` are trapezoids of allowed centres. `lines` and `beside` are working memory.
+    At the nearest place, footprint k touches another footprint or the border of the allowed centres. Only coordinates
+    with such a contact are tried. Footprints more than `within` metres from (a, b) are not considered for a contact.
+    Rows `start` to `stop - 1` of `pieces` are trapezoids of allowed centres. `lines` and `beside` are working memory;
+    `surface`, `at` and `edge` are those of `push`.
 
     Returns:
         True if there is a free place.
@@ -91,7 +95,7 @@ def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no
         fixed: number of footprints at the beginning that are not moved.
         surface: surface of each footprint, `(K,)`; updated.
         at: centres in surface coordinates, metres, `(K, 2)`; updated.
-        pieces: trapezoids of the allowed centres of footprints of S sizes, `(T, 6)`.
+        pieces: trapezoids of the allowed centres of footprints of S sizes, `(T, 6)`, see `lmd.space.allowed`.
         first: `(S, W + 1)`; rows `first[c, s]` to `first[c, s + 1] - 1` of `pieces` are the trapezoids for size c on
             surface s.
         of: index c of the size of each footprint, `(K,)`.

@@ -188,8 +188,8 @@ class RecordedPoses(Checked):
         bandwidth: bandwidth in position, metres, of the kernel that smooths the orientation PDF.
         direction_bandwidth: bandwidth of this kernel in direction, degrees.
         divisions: the step of the orientation grid is 180 degrees / divisions.
-        held_out: every `held_out`-th block is held out, at least 2; None to hold out none.
-        block: length of a block, seconds.
+        held_out: a number n of at least 2: every n-th block is held out for validation. None to hold out none.
+        block: length of a block of time, seconds.
         path: file of the recording, for messages.
         note: sentence about an ambiguity in the file; empty if nothing is ambiguous.
 

@@ -25,7 +25,7 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def angle(name: str, value: Any) -> float:
-    """Return `value` as an angle in radians; raise `InputError` if it exceeds one turn and is probably in degrees."""
+    """Return `value` as an angle in radians; raise `InputError` if it exceeds one turn (probably degrees)."""
     if abs(number := real(name, value)) > ONE_TURN:
         raise InputError(f"{name} must be in radians, at most one turn from zero, got {number:g}.", name)
     return number

@@ -194,7 +194,7 @@ class Tag(Checked):
 
     @property
     def picture_edge(self) -> float:
-        """Edge length of the whole picture, metres."""
+        """Edge length of the tag's published picture, metres: the detected square and the border around this square."""
         return self.size * self.picture_share
 
     @property
@@ -212,7 +212,7 @@ class Tag(Checked):
 
     @property
     def paper_edge(self) -> float:
-        """Edge length of the paper, metres."""
+        """Edge length of the square paper that carries the tag, metres: the picture and its white margin."""
         return self.size * self.paper_share
 
     def check_ids(self, ids: IntArray) -> None:

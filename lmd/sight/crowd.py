@@ -1,8 +1,9 @@
 """Crowd between a camera and a landmark, in compiled code: the obstacles of a room and the cylinders of a crowd state.
 
-A landmark is blocked if an obstacle of the room or a cylinder intersects the line of sight to a required point
-(`lmd.sight.obstacles`). The operations are those of `lmd.space.crowd` in their order, so both give equal results. Each
-camera position has one crowd state; with several states, a position is listed once for each state.
+A landmark is blocked if an obstacle of the room or a cylinder intersects the line of sight to a required point, a
+point that must be visible (`lmd.sight.obstacles`). The operations and their order are those of `lmd.space.crowd`, so
+both modules give equal results. Each camera position has one crowd state; with several states, a position is listed
+once for each state.
 
 Most cylinders are excluded by a test of the line to the landmark's centre. The lines to the corners of a tag are
 nowhere farther from this line than half a diagonal of the tag.
@@ -66,7 +67,7 @@ class CrowdEnds(NamedTuple):
 
 
 def obstacles_of(scene: Scene, positions: FloatArray, states: IntArray | None) -> Any:
-    """Obstacles of a scene, prepared for cameras at `positions` `(P, 3)`, metres.
+    """Obstacles of a scene as arrays, for compiled tests of lines from cameras at `positions` `(P, 3)`, metres.
 
     `states` `(P,)` has the crowd state at each position; it may be None for a scene without a crowd.
     """

@@ -3,11 +3,12 @@
 An axis is an orientation of the camera. The sphere of directions is projected onto an octahedron, which is unfolded
 into a square of `SIDE` x `SIDE` cells. Two tables have a set of axes for each cell:
 
-- `CERTAIN`: axes that have *every* direction of the cell in view, at least `SightModel.inset` from the border.
-- `POSSIBLE`: axes that have *some* direction of the cell in view.
+- `CERTAIN`: axes that have *every* direction of the cell in view, at least `SightModel.inset` inside the border.
+- `POSSIBLE`: axes that may have *some* direction of the cell in view.
 
-Only axes that are possible but not certain need the exact test. A certain axis covers the landmark only at the depths
-`low` to `sure` of `criteria.from_position`.
+The border is that of the field of view. Only axes that are possible but not certain need the exact test. A certain axis
+is sure to cover the landmark only if the landmark's depth is in the range `low` to `sure`, which
+`criteria.from_position` returns.
 
 For one pass over many landmarks the tables are too large. Axes are then sorted by height (their z coordinate). The axes
 that cover a landmark lie in a cone around its direction. So the lowest and the highest point of the cone bound the axes
@@ -79,17 +80,19 @@ def _cells() -> tuple[FloatArray, FloatArray]:
 def _fill(
     sight: Any, centres: FloatArray, angles: FloatArray, axes: FloatArray, shifts: FloatArray, table: np.ndarray
 ) -> None:
-    """For each cell, write the set of axes that have the cell's centre in view, at a given angle from the border.
+    """For each cell of directions, write the set of axes that have the cell's centre in view.
+
+    A positive angle shrinks the field of view for a cell, a negative angle enlarges it.
 
     Args:
         sight: compiled model of sight.
         centres: unit directions of the centres of the cells, `(3, cells)`.
-        angles: least angle between the centre and the border of the field of view for each cell, rad, `(cells,)`;
-            negative if the centre may lie outside the border by this angle.
+        angles: for each cell, angle by which the border of the field of view is moved inwards, rad, `(cells,)`;
+            negative to move the border outwards.
         axes: optical axis and direction to the right in the image, unit vectors, for each axis, `(6, 64 W)`.
         shifts: displacement of the camera for each axis, divided by the distance of the landmark, `(3, 64 W)`; the
-            displacement is subtracted from the centre.
-        table: receives the sets of axes, `(cells, W)`.
+            quotient is subtracted from the centre.
+        table: receives the sets of axes, bit sets of W words of 64 bits, `(cells, W)`.
     """
     for c in range(len(angles)):
         centre, sine, cosine = column3(centres, c), math.sin(angles[c]), math.cos(angles[c])
@@ -108,14 +111,20 @@ def _fill(
 
 
 def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Make the tables `CERTAIN` and `POSSIBLE` of axes that see a landmark, `(EMPTY_ROW + 1, W)` each.
+    """Make two tables, by direction of a landmark: axes that certainly, and axes that possibly, have it in view.
 
-    Row i is the bit set, W words of 64 bits, of the axes for cell i of directions. Row `EMPTY_ROW` is the empty set.
+    An axis is an orientation of the camera. Row i of a table belongs to cell i of directions, and row `EMPTY_ROW` is
+    empty. A row is a bit set of axes, W words of 64 bits.
 
     Args:
         sight: model of sight.
         axes: optical axis and direction to the right in the image, unit vectors, `(6, 64 W)`, padded with zeros to
             whole words.
+
+    Returns:
+        `CERTAIN`: axes that have every direction of the cell in view, at least `SightModel.inset` inside the border of
+            the field of view, `(EMPTY_ROW + 1, W)`.
+        `POSSIBLE`: axes that may have some direction of the cell in view, `(EMPTY_ROW + 1, W)`.
     """
     certain, possible = np.zeros((2, EMPTY_ROW + 1, axes.shape[1] // BITS), dtype=np.uint64)
     fill_tables(sight, axes, (np.zeros((3, axes.shape[1])), 0.0, 0.0), certain, possible)
@@ -125,12 +134,13 @@ def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]
 def fill_tables(
     sight: SightModel, axes: FloatArray, shift: tuple[FloatArray, float, float], certain: IntArray, possible: IntArray
 ) -> None:
-    """Fill the tables `certain` and `possible` for cameras that are displaced from a common centre.
+    """Fill two tables of axes, as made by `tables`, for cameras that are displaced from a common centre.
 
     Let u be the unit direction of a landmark from the centre. Let s be the displacement of a camera, divided by the
-    distance of the landmark from the centre. The camera sees the landmark in the direction of u - s. The tables contain
-    c - s' in place of u - s, with the centre c of the cell that contains u, and an approximation s' of s. Both vectors
-    differ by at most 2 sin(rho / 2) + `error`, and are at least 1 - `longest` long.
+    distance of the landmark from the centre. The camera sees the landmark in the direction of u - s. The tables are
+    made for c - s' in place of u - s, where c is the middle of the cell that contains u, and s' approximates s. With
+    the angular radius rho of the cell, both vectors differ by at most 2 sin(rho / 2) + `error`. Both are at least
+    1 - `longest` long.
 
     Args:
         sight: model of sight.
@@ -138,7 +148,8 @@ def fill_tables(
             whole words.
         shift: tuple of three values: s' for each axis, `(3, 64 W)`; `longest`, an upper bound on |s|; and `error`, an
             upper bound on |s - s'|.
-        certain, possible: tables whose first `SIDE * SIDE` rows are filled, `(>= SIDE * SIDE, W)`.
+        certain, possible: receive the axes that certainly and that possibly have a landmark in view, in the first
+            `SIDE * SIDE` rows, one row per cell, `(>= SIDE * SIDE, W)`.
     """
     (centres, rho), (shifts, longest, error) = _cells(), shift
     chord = (2.0 * np.sin(rho / 2.0) + error) / (2.0 * (1.0 - longest))
@@ -155,7 +166,7 @@ def height_index(heights: FloatArray) -> np.ndarray:
 
     The height of an axis is its z coordinate, from -1 to 1. The first axis is the lowest axis whose height is at least
     the lower limit of the bin, less a margin. The result is `(HEIGHT_BINS + 2,)`; its last two entries are the index
-    for the height 1, and D.
+    for the height 1, and the number D of axes.
 
     Args:
         heights: z coordinates of the axes in ascending order, `(D,)`.

@@ -40,7 +40,10 @@ def quantised(probability: FloatArray) -> IntArray:
 
 
 def averaged(values: FloatArray | BoolArray, probability: FloatArray) -> FloatArray:
-    """Mean `(P,)` of `values` `(P, D)` over the axes, weighted by `probability` `(1, D)` or `(P, D)`."""
+    """Mean of `values` `(P, D)` over D orientations of the camera, for each of P positions, `(P,)`.
+
+    The weights are `probability`: a row for all positions, `(1, D)`, or a row for each position, `(P, D)`.
+    """
     if len(probability) == 1:
         return np.asarray(values @ probability[0])
     return np.asarray(np.einsum("pd,pd->p", values, probability))
@@ -48,6 +51,8 @@ def averaged(values: FloatArray | BoolArray, probability: FloatArray) -> FloatAr
 
 class Evaluator:
     """Computes numbers of covered landmarks and the probability P_n of deployments at every position of a scene.
+
+    P_n is the probability that a randomly oriented camera covers at least n landmarks of the deployment.
 
     Args:
         scene: room, cameras, orientations and criteria.
@@ -133,13 +138,13 @@ class Evaluator:
     def probability(self) -> FloatArray:
         """Probability of each axis: one row `(1, 64 W)` for all positions, or a row for each position, `(P, 64 W)`.
 
-        Axes are padded to 64 W, the bits of W words.
+        An axis is a distinct orientation of the camera. Zeros pad each row to the 64 W bits of W words.
         """
         return np.asarray(self.weights / PROBABILITY_ONE)
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sets of the axes that certainly and that possibly cover a landmark, see `lmd.sight.directions.tables`."""
+        """Tables of the axes that certainly and that possibly have a landmark in view, see `directions.tables`."""
         return tables(self.sight, self.axes)
 
     @cached_property
@@ -152,11 +157,11 @@ class Evaluator:
         check_views(each, len(self.positions), self.axes.shape[1])
 
     def by_place(self, weight: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
-        """Join the rows of a camera position for all S crowd states to one row.
+        """Join the S rows that an array has for one camera position, one for each crowd state, to one row.
 
-        The P rows are the camera positions, repeated for each crowd state. Probabilities `weight`, `(1, D)` or
-        `(P, D)`, become `(P / S, S D)`, divided by S. `values` `(P, D)` become `(P / S, S D)`. Without a crowd, the
-        arguments are returned unchanged.
+        The P rows of the arguments are the camera positions, repeated for each crowd state. The columns are D
+        orientations. Probabilities `weight`, `(1, D)` or `(P, D)`, are divided by S and become `(P / S, S D)`. `values`
+        `(P, D)` become `(P / S, S D)`. Without a crowd, the arguments are returned unchanged.
         """
         if self.scene.crowd is None:
             return weight, *values
@@ -165,20 +170,20 @@ class Evaluator:
         return tuple(np.concatenate(np.split(each, states), axis=1) for each in (alike, *values))
 
     def counts(self, deployment: Deployment) -> np.ndarray:
-        """Number of landmarks covered at every position and orientation of the PDF, `(P, A)` int16."""
+        """Number of landmarks covered at each of P positions and A orientations of the scene's PDF, `(P, A)` int16."""
         landmarks = deployment.positions[None], deployment.normals[None]
         _, counts = self.sized(deployment.edges)._evaluate(*landmarks, 1, keep=True)
         return np.asarray(counts[0][:, self.axis_of])
 
     def units(self, positions: FloatArray, normals: FloatArray, n: int) -> np.ndarray:
-        """Quantised P_n at every position: integers in units of 1 / `PROBABILITY_ONE`.
+        """Probability P_n that at least n landmarks are covered, at each position, in units of 1 / `PROBABILITY_ONE`.
 
         Args:
             positions, normals: landmarks of B deployments, metres and unit vectors, `(B, K, 3)`.
             n: number of landmarks that must be covered.
 
         Returns:
-            `(B, P)` int64.
+            int64, a row for each deployment and a column for each position, `(B, P)`.
         """
         return self._evaluate(positions, normals, n, keep=False)[0]
 
@@ -188,8 +193,8 @@ class Evaluator:
         """Evaluate B deployments on the threads; arguments as in `units`.
 
         Returns:
-            quantised P_n, `(B, P)`, and numbers of covered landmarks, `(B, P, D)`; these numbers are empty unless
-            `keep` is True.
+            quantised P_n, `(B, P)`, and number of landmarks covered at each position and axis, `(B, P, 64 W)`. The
+            axes are padded to W words of 64 bits. The second array is empty unless `keep` is True.
         """
         size, axes = len(self.positions), self.axes.shape[1]
         if keep:

@@ -35,16 +35,19 @@ PROBABILITY_ONE = 1 << 52
 
 @inlined
 def weights_row(weights: Any, p: Integer) -> Any:
-    """Index of the row of `weights` for position p: 0 for `(1, D)` weights, which all positions share, else p."""
+    """Index of the row of `weights`, the probabilities of D axes, that holds for position p.
+
+    All positions share the row 0 of `(1, D)` weights; position p has the row p of `(P, D)` weights.
+    """
     return np.uint64(p) if len(weights) > 1 else np.uint64(0)
 
 
 @inner
 def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -> Any:
-    """Change of the quantised probability of a set of axes when word w (64 bits) of the set changes.
+    """Change of the quantised probability of a set of axes when word w (64 bits) of the bit set changes.
 
-    `before` and `after` are the values of the word. `weights`, `(1, D)` or `(P, D)`, are the quantised probabilities of
-    the axes; p is the position.
+    `before` and `after` are the old and the new word. `weights` are the quantised probabilities of D axes, `(1, D)` for
+    all positions or `(P, D)` for each of P positions; p is the index of the position.
     """
     change, left, row = np.int64(0), before ^ after, weights_row(weights, p)
     while left:
@@ -71,7 +74,7 @@ def count_set(at_least: WordArray, w: Integer, visible: Any) -> None:
 def evaluate_range(
     first: Integer, last: Integer, batch: Batch, tables: Any, n: Integer, units: np.ndarray, counts: np.ndarray
 ) -> None:
-    """Evaluate deployments at the positions `order[first:last]`.
+    """Compute P_n and numbers of covered landmarks of B deployments at the positions `order[first:last]`.
 
     Args:
         first, last: range of indices of `order`.
@@ -88,7 +91,7 @@ def evaluate_range(
         tables: result of `directions.tables` for a model with an expensive test, else None.
         weights: quantised probability of each axis, `(1, D)` for all positions or `(P, D)` for each.
         n: number of landmarks that must be covered.
-        units: receives quantised P_n, `(B, P)` int64.
+        units: receives P_n, the quantised probability that at least n landmarks are covered, `(B, P)` int64.
         counts: receives the number of landmarks that each axis covers, `(B, P, D)` int16 zeros; empty to skip the
             counts.
     """

@@ -80,9 +80,9 @@ def hiding_bound(longest: float, apart: float, radius: float, width: float) -> A
 
 @inlined
 def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
-    """True if landmark j may hide landmark k from some camera within a radius of the centre; True for j = k.
+    """True if landmark j may hide landmark k from some camera within a radius of a centre; True for j = k.
 
-    The computation is in float32.
+    `view` is a `Viewpoint` as seen from the centre. The computation is in float32.
 
     Seen from a camera and from the centre, the directions of a landmark at the distance d from the centre differ by at
     most asin(radius / d). Seen from the camera, the landmark hides only landmarks within asin(width / (d - radius)) of

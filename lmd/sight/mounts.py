@@ -178,7 +178,8 @@ def bounds_from(group: Any, c: Integer, k: Integer, offset: Vector, normal: Vect
     Returns:
         reached: False only if no camera covers the landmark.
         most: upper bound on the depth of a covered landmark, metres.
-        start, sure: a landmark well in view at a depth from `start` to `sure` is covered, see `criteria.from_around`.
+        start, sure: depths, metres. The landmark is covered if its depth is from `start` to `sure` and its image is at
+            least `SightModel.inset` from the border of the field of view.
     """
     if group.radius[c] > 0.0:
         reached, most, start, sure = from_around(sized(group.sight, k), offset, normal, group.radius[c])

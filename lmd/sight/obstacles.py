@@ -128,8 +128,9 @@ def _no_end_points(obstacles: Any, count: Integer) -> Any:
 def find_ends(obstacles: Any, sight: Any, place: Vector, normal: Vector, ends: Any, k: Integer) -> None:
     """Write the required points of landmark k, at the position `place` with the unit normal `normal`, into `ends`.
 
-    For `Obstacles`, `ends` `(K, 6, J)` has the heights of the five points above the planes, then their minimum. For
-    `MeshObstacles`, `ends` `(K, 5, 3)` has the points, metres.
+    The required points are the centre and, for a tag, four corners. For `Obstacles` with J planes, `ends` is
+    `(K, 6, J)`: `ends[k]` has the heights of the points above the planes in rows 0 to 4, and the least of these heights
+    in row 5. For `MeshObstacles`, `ends` `(K, 5, 3)` has the points, metres.
     """
 
 

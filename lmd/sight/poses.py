@@ -1,7 +1,8 @@
 """Gains and coverage of many candidate poses of landmarks on the walls, each evaluated without other landmarks.
 
-`gains` sums, for each pose, the prices (weights) of the positions and axes from which a landmark at the pose is
-covered. `covered_amounts` sums, for each position and axis, the amounts of the covered poses.
+Each camera position and axis has a price (weight). For each pose, `gains` sums the prices of the positions and axes
+from which a landmark at the pose is covered. Each pose has an amount, the number of landmarks at it, which may be a
+fraction. For each position and axis, `covered_amounts` sums the amounts of the covered poses.
 
 With a positive distance `slack`, a pose represents a cell of a wall: an axis counts if it may cover some landmark at
 most `slack` from the cell's centre. A move by delta within the wall changes depth and distance by at most |delta|, and
@@ -126,7 +127,7 @@ def _gains(
     """Write into `out` `(N,)` the results of `gains` for the poses `start` to `stop - 1`.
 
     `points` and `normals` `(N, 3)` are the positions, metres, and unit normals of the poses. `parts` is a tuple of the
-    camera positions, `(3, P)`, and the evaluator's model of sight, obstacles, axes and bands.
+    camera positions, `(3, P)`, and the fields `sight`, `obstacles`, `axes` and `bands` of the `Evaluator`.
     """
     positions, sight, obstacles, axes, bands = parts
     size, row = positions.shape[1], np.empty(axes.shape[1])
@@ -162,10 +163,10 @@ def _gains(
 def _sum_covered(
     start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, amounts: FloatArray, parts: Any, out: Any
 ) -> None:
-    """Add the amounts of covered poses to the rows `start` to `stop - 1` of `out` `(P, D)`, see `covered_amounts`.
+    """Add the result of `covered_amounts` for the positions `start` to `stop - 1` to the rows of `out` `(P, D)`.
 
     `points` and `normals` `(N, 3)` are the positions, metres, and unit normals of the poses. `parts` is a tuple of the
-    camera positions, `(P, 3)`, and the evaluator's model of sight, obstacles, axes and bands.
+    camera positions, `(P, 3)`, and the fields `sight`, `obstacles`, `axes` and `bands` of the `Evaluator`.
     """
     positions, sight, obstacles, axes, bands = parts
     ends = new_ends(obstacles, 1)
@@ -197,11 +198,12 @@ def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator
 
 
 def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: FloatArray | None = None) -> FloatArray:
-    """For each pose, sum of the prices (weights) of the positions and axes from which a landmark there is covered.
+    """For each pose, sum of the prices of the camera positions and axes from which a landmark at the pose is covered.
 
     Args:
+        evaluator: evaluator with P positions and D axes (orientations of the camera, padded to whole words).
         poses: N poses.
-        prices: price of each position and axis of the evaluator, `(P, D)`.
+        prices: price (weight) of each position and axis, `(P, D)`.
         slack: radius, on the wall, of the cell that each pose represents, `(N,)`, metres; 0 by default.
 
     Returns:
@@ -221,13 +223,14 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
 
 
 def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray) -> FloatArray:
-    """For each position and axis, sum of the amounts of the poses at which a landmark would be covered.
+    """For each camera position and axis, number of covered landmarks if pose j has x_j landmarks, possibly a fraction.
 
-    The sum is c = sum_j x_j cover_j, where cover_j is 1 if a landmark at pose j is covered, else 0.
+    The number is c = sum_j x_j cover_j, where cover_j is 1 if a landmark at pose j is covered, else 0.
 
     Args:
+        evaluator: evaluator with P positions and D axes (orientations of the camera, padded to whole words).
         poses: N poses.
-        amounts: amount x_j of each pose, `(N,)`, not negative.
+        amounts: number x_j of landmarks at each pose, `(N,)`, not negative.
 
     Returns:
         c, `(P, D)`, which does not depend on the number of threads.

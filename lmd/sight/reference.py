@@ -83,9 +83,9 @@ def qualified(probability: FloatArray, thold_p: float) -> BoolArray:
 
 
 def counts(scene: Scene, deployment: Deployment) -> IntArray:
-    """Number of landmarks covered at every grid position and orientation of the PDF, `(P, A)`.
+    """Number of landmarks covered at each of P grid positions and A orientations of the scene's PDF, `(P, A)`.
 
-    With a crowd, the positions are repeated for each state.
+    With a crowd, the positions are repeated for each crowd state.
     """
     axes, index_of, _ = scene.orientations  # orientations that are equal (poles, yaws of +-pi) are evaluated once
     states = [scene.in_state(s) for s in range(1 if scene.crowd is None else len(scene.crowd))]
@@ -102,8 +102,7 @@ def _warn_uncompiled(name: str) -> None:
 
 
 class ReferenceViews:
-    """Coverage, computed by the reference, from P positions of a camera (or of the body of a rig) with D orientations
-    each.
+    """Coverage, computed by the reference, from P positions and D orientations of a camera or of the body of a rig.
 
     Args:
         scene: scene; its visibility model may lack a compiled model of sight.
@@ -129,7 +128,9 @@ class ReferenceViews:
     def evaluate(
         self, landmarks: FloatArray, normals: FloatArray, weights: np.ndarray, n: int, counts: np.ndarray
     ) -> np.ndarray:
-        """Quantised P_n of one deployment at every position, `(P,)`.
+        """Probability P_n that at least n landmarks of a deployment are covered, for each of P positions, `(P,)`.
+
+        P_n is quantised: integers in units of 1 / `PROBABILITY_ONE`.
 
         Args:
             landmarks, normals: positions, metres, and unit normals, `(K, 3)`.
@@ -150,7 +151,9 @@ class ReferenceViews:
         return units
 
     def gains(self, landmarks: FloatArray, normals: FloatArray, prices: FloatArray, slack: FloatArray) -> FloatArray:
-        """Sum of the prices of the positions and orientations that cover each of N poses, `(N,)`, see `poses.gains`.
+        """For each of N poses, sum of the prices (weights) of the views that cover a landmark there, see `poses.gains`.
+
+        A view is a camera position and an orientation; `prices` is `(P, 64 W)`. The result is `(N,)`.
 
         `landmarks` and `normals` `(N, 3)` are positions and unit normals of the poses; `slack` must be 0.
         """

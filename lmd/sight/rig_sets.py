@@ -39,8 +39,8 @@ Poses: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]  # see `covered_set
 def _fill_viewpoint_around(group: Any, c: Integer, view: Any, count: Integer, body: Vector, start: Any) -> None:
     """Compute the fields of `view` for its first `count` landmarks, as seen from centre c of a mount group.
 
-    `body` is the position of the body, metres. `start` `(K,)` receives the least depth, metres, at which a landmark
-    well in view is certainly covered.
+    `body` is the position of the body, metres. `start` `(K,)` receives the least depth, metres, at which a landmark is
+    certainly covered, if its image is far enough from the border of the field of view (`SightModel.inset`).
     """
     near, x, y, z, squared, high, sure_depth, reached = (
         view.near_poses, view.x, view.y, view.z, view.squared, view.high, view.sure_depth, view.reached
@@ -77,9 +77,8 @@ def _add_covered(
         landmarks, normals: positions, metres, and unit normals, `(1, 3, K)`.
         slack: distance by which each landmark may be moved in its plane, `(K,)`, metres. If it is positive, an
             orientation counts if it may cover the moved landmark, and all occlusion is ignored for this landmark.
-        n: number of landmarks, see `keep`.
-        keep: True to test all landmarks. False to skip the tests of further landmarks at a position and orientation
-            from which n landmarks are covered.
+        n: number of covered landmarks after which a position and orientation needs no further test.
+        keep: True to ignore n and test all landmarks.
         seen: bit sets of orientations in W words, `(1, P, K, W)` for the group, or `(M, P, K, W)` for each of its M
             mounts. The latter requires `keep`.
     """

@@ -1,4 +1,4 @@
-"""Counts, probabilities, gains and covered amounts of a rig, from the sets of orientations of `rig_sets`.
+"""Results of `Evaluator` and of `poses` for a rig of cameras, from the sets of orientations of `rig_sets`.
 
 Positions or poses are divided among the threads. The order of each sum does not depend on the number of threads.
 """
@@ -24,10 +24,11 @@ LARGEST_BATCH = 256
 
 @kernel
 def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: Any) -> None:
-    """Write quantised P_n into `units` `(P,)`, and the numbers of covered landmarks into `counts` `(P, 64 W)`.
+    """Write P_n at P positions into `units` `(P,)`, and numbers of covered landmarks into `counts` `(P, 64 W)`.
 
-    If `counts` is empty, only `units` is written. `seen` `(P, K, W)` has bit sets, words of 64 bits, of the
-    orientations at which each landmark is covered. `weights`, `(1, 64 W)` or `(P, 64 W)`, are the quantised
+    P_n is the quantised probability that at least n landmarks are covered. `counts` has the number for each position
+    and orientation; if `counts` is empty, only `units` is written. `seen` `(P, K, W)` has bit sets, words of 64 bits,
+    of the orientations at which each landmark is covered. `weights`, `(1, 64 W)` or `(P, 64 W)`, are the quantised
     probabilities of the orientations.
     """
     words, keep = np.uint64(seen.shape[2]), len(counts) > 0
@@ -55,8 +56,8 @@ def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: An
 def _sum_gains(seen: Any, prices: FloatArray, out: Any) -> None:
     """For each of N poses, sum the prices of the positions and orientations from which a landmark there is covered.
 
-    `seen` `(P, N, W)` has bit sets of these orientations for each position and pose. `prices` `(P, 64 W)` are weights.
-    The sums are written into `out` `(N,)`.
+    `seen` `(P, N, W)` has bit sets of these orientations for each position and pose. `prices` `(P, 64 W)` are the
+    weights of positions and orientations. The sums are written into `out` `(N,)`.
     """
     row = np.empty(prices.shape[1])
     for j in range(len(out)):
@@ -77,8 +78,8 @@ def _sum_gains(seen: Any, prices: FloatArray, out: Any) -> None:
 def _sum_amounts(seen: Any, amounts: FloatArray, out: Any) -> None:
     """For each position and orientation, add up the amounts of the poses at which a landmark would be covered.
 
-    The sums are added to `out` `(P, 64 W)`. `amounts` is `(N,)`. `seen` `(P, N, W)` has bit sets of the orientations
-    from which each of the N poses is covered.
+    `amounts` `(N,)` are numbers of landmarks at the poses, possibly fractions. The sums are added to `out`
+    `(P, 64 W)`. `seen` `(P, N, W)` has bit sets of the orientations from which each of the N poses is covered.
     """
     for p in range(len(seen)):
         for j in range(len(amounts)):
@@ -129,7 +130,9 @@ class RigViews:
     def evaluate(
         self, landmarks: FloatArray, normals: FloatArray, weights: np.ndarray, n: int, counts: np.ndarray
     ) -> np.ndarray:
-        """Quantised P_n of one deployment at every position, `(P,)`.
+        """Probability P_n that at least n landmarks of a deployment are covered, for each of P positions, `(P,)`.
+
+        P_n is quantised: integers in units of 1 / `PROBABILITY_ONE`.
 
         Args:
             landmarks, normals: positions, metres, and unit normals, `(K, 3)`.
@@ -156,7 +159,9 @@ class RigViews:
         return units
 
     def gains(self, landmarks: FloatArray, normals: FloatArray, prices: FloatArray, slack: FloatArray) -> FloatArray:
-        """Sum of the prices of the positions and orientations that cover each of N poses, `(N,)`, see `poses.gains`.
+        """For each of N poses, sum of the prices (weights) of the views that cover a landmark there, see `poses.gains`.
+
+        A view is a position of the rig and an orientation; `prices` is `(P, 64 W)`. The result is `(N,)`.
 
         `landmarks` and `normals` `(N, 3)` are positions and unit normals of the poses.
         """

@@ -166,20 +166,21 @@ def gather_near(
     o: Integer, part: Any, horizon: float, many: Integer, count: Integer, poses: FloatArray, indices: np.ndarray,
     view: Viewpoint,
 ) -> Any:  # fmt: skip
-    """List the landmarks near position `order[o]`: those near its region, and among these, those near its block.
+    """List the landmarks near position `order[o]`, in two lists in `view`.
 
-    Positions are visited in the order `order`. A list is updated only at the first position of a region (16 blocks) or
-    of a block, and is valid for the other positions.
+    The first list has the landmarks near the position's region (16 blocks of positions). The second list has the part
+    of the first list that is near the position's block. Positions are visited in the order `order`. A list is updated
+    only at the first position of its region or block, and is valid for the other positions there.
 
     Args:
         part: tuple of `first`, `last`, `order` and `positions`: the caller visits the positions `order[first:last]`.
         horizon: distance beyond which a landmark has no effect, metres.
-        many, count: numbers of landmarks in both lists, for the previous position.
+        many, count: numbers of landmarks in the first and in the second list, for the previous position.
         poses, indices: positions and unit normals of all landmarks, `(6, K)`, and their indices, `(K,)`.
         view: working memory with both lists.
 
     Returns:
-        many, count: numbers of landmarks in both lists, for position `order[o]`.
+        many, count: numbers of landmarks in the first and in the second list, for position `order[o]`.
     """
     first, last, order, positions = part
     if o == first or o % REGION == 0:
@@ -288,9 +289,9 @@ def list_shown(view: Viewpoint, count: Integer, p: Integer, sight: Any, room: An
 def see_alone(
     pose: Any, positions: FloatArray, p: Integer, sight: Any, obstacles: Any, ends: Any, bands: np.ndarray
 ) -> Any:
-    """Find the offset of a landmark from position p, and the axes that may cover the landmark.
+    """Find the offset of a landmark from position p, and the axes (orientations) that may cover the landmark.
 
-    Occlusion by other landmarks is ignored.
+    Occlusion by other landmarks is ignored. The axes are sorted by the z component of the optical axis.
 
     Args:
         pose: position and unit normal of the landmark.
@@ -299,7 +300,7 @@ def see_alone(
         bands: result of `directions.height_index`.
 
     Returns:
-        offset: offset, metres.
+        offset: offset of the landmark, metres.
         low: least depth at which an axis may cover the landmark, metres.
         start, stop: the axes `start` to `stop - 1` may cover the landmark; equal if none does.
     """

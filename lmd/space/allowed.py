@@ -76,7 +76,7 @@ def eroded(region: Any, margin: float) -> Any:
 
 
 def polygons(region: Any) -> Any:
-    """Return a region without parts of at most `MIN_AREA`, normalised by `shapely.normalize`."""
+    """Return a region without its connected pieces of at most `MIN_AREA`, square metres, in shapely's normal form."""
     import shapely
 
     parts = [part for part in shapely.get_parts(region) if part.area > MIN_AREA]
@@ -88,8 +88,9 @@ def _spread(
 ) -> tuple[Any, Any]:
     """Map x and y in [0, 1] to the coordinates (a, b) of a point in a trapezoid.
 
-    Uniformly distributed x and y give uniformly distributed points. The first six arguments are the columns of
-    `trapezoids`. All arguments are numbers or arrays.
+    x leads from the left to the right side, y from the lower to the upper side. Uniformly distributed x and y give
+    uniformly distributed points. The first six arguments describe the trapezoid as the columns of `trapezoids` do. All
+    arguments are numbers or arrays.
     """
     one, two = high_left - low_left, high_right - low_right
     even = one == two
@@ -155,7 +156,10 @@ def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
 
 @inlined
 def allows(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
-    """True if the point (a, b) is in one of the trapezoids in rows `start` to `stop - 1` of `pieces`."""
+    """True if the point (a, b) is in one of the trapezoids in rows `start` to `stop - 1` of `pieces`.
+
+    A point that is outside by at most `EDGE_TOLERANCE`, metres, counts as inside.
+    """
     _, p, q = nearest(pieces, start, stop, a, b)
     return abs(p - a) + abs(q - b) <= EDGE_TOLERANCE
 

@@ -1,5 +1,6 @@
-"""Convex bodies that block lines of sight, each the intersection of half-spaces. Functions for polygons make the
-upright bodies that fill the space outside a floor plan.
+"""Convex bodies that block lines of sight, each the intersection of half-spaces.
+
+Functions for polygons make the upright bodies that fill the space outside a floor plan.
 """
 
 from collections.abc import Sequence
@@ -57,8 +58,9 @@ class Blockers(NamedTuple):
         return self._replace(offsets=self.offsets + by * self.solid)
 
     def heights(self, points: FloatArray) -> FloatArray:
-        """Heights (signed distances, positive on the outer side) of points `(..., 3)` above the J planes, `(..., J)`,
-        metres.
+        """Heights of points `(..., 3)` above the J planes of the bodies, metres, `(..., J)`.
+
+        A height is the signed distance from the plane, positive on the outer side.
         """
         x, y, z = points[..., :1], points[..., 1:2], points[..., 2:]
         nx, ny, nz = self.normals.T
@@ -113,15 +115,19 @@ def checked_ring(name: str, value: Any, either_way: bool = False) -> Ring:
 
 
 def edges(ring: Sequence[Sequence[float]] | FloatArray) -> FloatArray:
-    """Edges of a polygon with the vertices `ring`, each from one vertex to the next, `(N, 2, 2)`."""
+    """Edges of a polygon with the N vertices `ring`, each from one vertex to the next, `(N, 2, 2)`.
+
+    The axes of the result are edge, end of the edge, and coordinate (x, y).
+    """
     vertices = np.asarray(ring, dtype=np.float64)
     return np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
 
 
 def planes(edge: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lines n . x = d through edges `(N, 2, 2)`: unit normals n, `(N, 2)`, and offsets d, metres, `(N,)`.
+    """Lines n . x = d through the edges that `edges` returns, `(N, 2, 2)`; x is a point of the line.
 
-    The normals point to the right of the edges, so they point outwards if the edges run counter-clockwise.
+    Return the unit normals n, `(N, 2)`, and the offsets d, metres, `(N,)`. The normals point to the right of the edges,
+    so they point outwards if the edges run counter-clockwise.
     """
     way = edge[:, 1] - edge[:, 0]
     way = way / np.linalg.norm(way, axis=1, keepdims=True)
@@ -166,15 +172,15 @@ def upright_bodies(polygon: Any) -> list[Body]:
 def _tips(edge: FloatArray, solid: Any) -> tuple[FloatArray, FloatArray]:
     """Lines that cut off the tips of a convex body in the space outside a room.
 
-    Adjacent bodies overlap. So where two edges of a body meet that are not part of a wall, a tip of the body would
-    protrude into the room.
+    Adjacent bodies overlap. So a corner between two edges that are not part of a wall would be a tip that protrudes
+    into the room.
 
     Args:
         edge: edges of the body, counter-clockwise, metres, `(N, 2, 2)`.
         solid: mask of the edges that are part of a wall, `(N,)`.
 
     Returns:
-        unit normals n of the lines, `(T, 2)`, and offsets n . x, metres, `(T,)`.
+        unit normals n, `(T, 2)`, and offsets d, metres, `(T,)`, of the lines n . x = d.
     """
     bare = ~solid & ~np.roll(solid, 1)  # tips at the start of an edge
     way = edge[:, 1] - edge[:, 0]

@@ -84,7 +84,10 @@ class TimeSpent:
     """Weights of positions in the room, by which the times are multiplied."""
 
     def weights(self, points: FloatArray) -> FloatArray:
-        """Weight of each of the `points` `(P, 3)`, shape `(P,)`; the time is that of the nearest cell."""
+        """Weight of each of the `points` `(P, 3)`, shape `(P,)`.
+
+        The time spent in the cell nearest to a point is multiplied by the point's weight in the room's own relevance.
+        """
         from scipy.spatial import cKDTree  # slow to load, and only recordings need it
 
         _, nearest = cKDTree(self.positions).query(points)
@@ -134,12 +137,12 @@ class RecordedRoom(Changed):
     def grid(self) -> FloatArray:
         """One position for each of the P visited cells, metres, `(P, 3)`.
 
-        The result is the recorded position in the cell that is nearest to the mean of the cell's recorded positions.
+        Among the recorded positions in a cell, the one nearest to their mean (weighted by duration) is chosen.
         """
         return self._positions[self._cells.chosen]
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask of the straight paths that no obstacle blocks, see `Space.clear`.
+        """Mask `(...)` of the straight paths from `starts` to `ends`, `(..., 3)`, that no obstacle blocks.
 
         The paths need not keep the camera's clearance, as a recorded pose may be closer to an obstacle.
         """
@@ -151,8 +154,9 @@ class RecordedRoom(Changed):
         return RecordedRoom(self.original, self._positions, self._seconds, half)
 
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """Draw `repeats` recorded positions in each of the P cells, `(repeats P, 3)`; the probability of a record is
-        proportional to its duration.
+        """Draw `repeats` recorded positions in each of the P cells, `(repeats P, 3)`.
+
+        The probability of a record is proportional to its duration. Row i belongs to cell i mod P.
         """
         of, total, _ = self._cells
         by_cell = np.argsort(of, kind="stable")
@@ -180,9 +184,10 @@ SPACING = 1.0  # edge of the base class's cells, metres; not used by a driven ro
 
 
 class FrameTime(TimeSpent):
-    """Relevance (weights) of the frames of drives.
+    """Relevance (weights) of the frames (moments with one camera pose each) of recorded drives.
 
-    The weight of a frame is its duration, times the weight that the room's own relevance gives to its position.
+    The weight of a frame is its duration, times the weight that the room's own relevance gives to the camera's
+    position.
     """
 
     def weights(self, points: FloatArray) -> FloatArray:
@@ -196,7 +201,9 @@ class FrameTime(TimeSpent):
 
 
 class DrivenRoom(RecordedRoom):
-    """Room whose grid has one position for each frame of drives, in the order of the frames; implements `Space`.
+    """Room whose grid has one position for each frame of recorded drives; implements `Space`.
+
+    A frame is a moment of a drive with one camera pose. The positions are in the order of the frames.
 
     Args:
         room: room of the drives.

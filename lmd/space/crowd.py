@@ -4,7 +4,7 @@ A crowd state is a set of cylinders. S states are drawn once, so all deployments
 (common random numbers), and one cylinder hides all landmarks behind it at the same time.
 
 A cylinder is an open convex set. A line of sight from p to q is blocked if its part in the cylinder has a positive
-length. Let d = q - p, let d_h be the horizontal part of d, and let e be the horizontal vector from p to the axis of a
+length. Let d = q - p, and let d_h be the horizontal part of d. Let e be the horizontal vector from p to the axis of a
 cylinder with the radius r. The point p + t d is horizontally inside the cylinder if |t d_h - e|^2 < r^2. So t lies
 between (b - s) / a and (b + s) / a, where a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2 and s = sqrt(b^2 - a c). The planes
 of the cylinder's lower and upper end limit t further.
@@ -111,7 +111,7 @@ class Crowd(Checked):
 
 @dataclass(frozen=True, eq=False)
 class CrowdStates:
-    """S crowd states in a room."""
+    """S crowd states in a room; a crowd state is a set of cylinders, which stand for people and other robots."""
 
     crowd: Crowd
     """Settings from which the states were drawn."""
@@ -127,7 +127,7 @@ class CrowdStates:
 
     @property
     def worst_count(self) -> int:
-        """Number of crowd states that count as the worst, for the mean over the worst states."""
+        """Number of crowd states that count as the worst; the fitness `worst` is the mean over these states."""
         return worst_of(len(self), self.crowd.worst)
 
     def present(self, positions: FloatArray, states: IntArray) -> BoolArray:
@@ -159,7 +159,7 @@ class CrowdStates:
 
 
 def _crosses(cylinder: FloatArray, position: FloatArray, points: FloatArray) -> BoolArray:
-    """Mask of the lines from a position `(3,)` to points `(..., 3)` that one cylinder blocks, `(...)`.
+    """Mask of the lines from a position `(3,)` to points `(..., 3)` that a given cylinder blocks, `(...)`.
 
     `cylinder` `(5,)` has x, y, radius, lower and upper z, metres.
     """

@@ -110,7 +110,10 @@ def _walls(size: tuple[float, float, float]) -> dict[str, Surface]:
 
 
 def box_edges(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Edges, `(12, 2, 3)`, of an axis-aligned box with the corners `low` and `high`, `(3,)` each."""
+    """Edges, `(12, 2, 3)`, of an axis-aligned box with the corners `low` and `high`, `(3,)` each.
+
+    The axes of the result are edge, end of the edge, and coordinate.
+    """
     bits = np.array(list(itertools.product((0, 1), repeat=3)))
     pairs = [(a, b) for a, b in itertools.combinations(bits, 2) if np.abs(a - b).sum() == 1]
     return np.asarray(low + np.array(pairs) * (high - low))

@@ -23,8 +23,9 @@ class FloorPlan(Checked):
     """Room with upright walls over a simple polygon, with pillars, furniture, doors and windows.
 
     Raises:
-        InputError: a polygon crosses itself or is clockwise, a pillar or an obstacle is not inside the room, a keep-out
-            is not on its surface, a name is unknown, or a surface has no allowed region.
+        InputError: a polygon crosses itself or is clockwise, a pillar or an obstacle is not inside the room, or a name
+            is unknown. Other causes: a keep-out (part of a surface without landmarks) is not on its surface, or a
+            surface has no allowed region.
     """
 
     outline: Annotated[Sequence[Sequence[float]], checked_ring]
@@ -63,7 +64,10 @@ class FloorPlan(Checked):
         self.carriers  # noqa: B018 # raises if a surface has no allowed region
 
     def _check_parts(self) -> None:
-        """Raise `InputError` if a pillar or an obstacle is not inside the room, or a keep-out is not on its surface."""
+        """Raise `InputError` if a pillar or an obstacle is not inside the room, or a keep-out is not on its surface.
+
+        A keep-out is a part of a surface that must stay free of landmarks.
+        """
         import shapely
 
         outline, holes = shapely.Polygon(self.outline), [shapely.Polygon(hole) for hole in self.holes]
@@ -99,7 +103,7 @@ class FloorPlan(Checked):
 
     @cached_property
     def ground(self) -> Any:
-        """Outline without the holes, a shapely polygon."""
+        """Floor of the room, a shapely polygon: the area in the outline minus the pillars (`holes`)."""
         import shapely
 
         return shapely.Polygon(self.outline, self.holes)
@@ -146,7 +150,7 @@ class FloorPlan(Checked):
 
     @cached_property
     def _faces(self) -> dict[str, Surface]:
-        """Faces of walls, floor, ceiling and obstacles by name, as whole rectangles, with their keep-outs."""
+        """Faces of walls, floor, ceiling and obstacles by name: whole rectangles, with no part cut out."""
         faces = [self._wall(f"wall_{i}", edge, -1.0) for i, edge in enumerate(edges(self.outline))]
         for i, hole in enumerate(self.holes):
             faces += [self._wall(f"hole_{i}_wall_{j}", edge, 1.0) for j, edge in enumerate(edges(hole))]
@@ -160,8 +164,9 @@ class FloorPlan(Checked):
         return {face.name: face for face in faces}
 
     def _wall(self, name: str, edge: FloatArray, side: float) -> Surface:
-        """Wall over an edge of the floor plan; the wall faces to the right (side 1) or to the left (side -1) of the
-        edge.
+        """Wall over an edge of the floor plan.
+
+        The wall faces to the right of the edge if `side` is 1, and to the left of the edge if `side` is -1.
         """
         (normal,), _ = planes(edge[None])
         length = float(np.linalg.norm(edge[1] - edge[0]))
@@ -173,7 +178,7 @@ class FloorPlan(Checked):
 
     @property
     def faces(self) -> tuple[Surface, ...]:
-        """Faces of walls, floor, ceiling and obstacles, as whole rectangles, with their keep-outs."""
+        """Faces of walls, floor, ceiling and obstacles: whole rectangles, with no part cut out."""
         return tuple(self._faces.values())
 
     @property
@@ -193,7 +198,10 @@ class FloorPlan(Checked):
         return [Fixture(part.name or number, corners) for number, part, corners in parts]
 
     def clearings(self, clearance: float) -> list[list[tuple[float, ...]]]:
-        """Outlines of the floor area at least `clearance`, metres, from walls, holes and obstacles, for drawings."""
+        """Outlines of the floor area at least `clearance`, metres, from walls, pillars and obstacles, for drawings.
+
+        An outline is a list of vertices (x, y), metres.
+        """
         import shapely
 
         taken = [shapely.box(*part.low[:2], *part.high[:2]) for part in self.obstacles]

@@ -216,7 +216,7 @@ class Gridded(Checked, ABC):
 
     @cached_property
     def _grid(self) -> tuple[FloatArray, BoolArray]:
-        """All positions of the grid in the box, and the mask of the positions in the reachable volume."""
+        """All N grid positions in the box, metres, `(N, 3)`, and the mask `(N,)` of the reachable positions."""
         positions = combined(self._grid_axes())
         return positions, self.reaches(positions)
 

@@ -58,16 +58,17 @@ def flat_parts(mesh: Mesh) -> list[IntArray]:
 
 
 def areas_of(corners: FloatArray) -> FloatArray:
-    """Areas of triangles `(T, 3, 3)`, square metres, `(T,)`."""
+    """Areas of triangles, square metres, `(T,)`; the axes of `corners` `(T, 3, 3)` are triangle, corner, coordinate."""
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return np.asarray(np.linalg.norm(np.cross(one, other), axis=1) / 2.0)
 
 
 def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
-    """Fit a plane to triangles `(T, 3, 3)`.
+    """Fit a plane to triangles; the axes of `corners` `(T, 3, 3)` are triangle, corner and coordinate.
 
     Returns:
-        mean unit normal, `(3,)`, and largest distance of a vertex from the plane, metres.
+        unit normal of the plane (mean weighted by area), `(3,)`, and largest distance of a corner from the plane,
+        metres.
     """
     total = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
     normal = total / np.linalg.norm(total) + 0.0
@@ -75,9 +76,10 @@ def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
 
 
 def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
-    """Surface of coplanar triangles `(T, 3, 3)`; their union is the allowed region.
+    """Make a surface from coplanar triangles; landmarks are allowed on the union of the triangles.
 
-    u and v point right and up for a viewer on the side of `normal` `(3,)`.
+    The axes of `corners` `(T, 3, 3)` are triangle, corner and coordinate. The unit vectors u and v along the surface
+    point right and up for a viewer on the side to which `normal` `(3,)` points.
     """
     import shapely
 
@@ -92,7 +94,7 @@ def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
 
 
 def grown(shapes: Any, width: float) -> Any:
-    """Enlarge shapely geometries by `width`, metres, on all sides, with mitred corners; shrink if it is negative."""
+    """Enlarge shapely geometries by `width`, metres, on all sides, with mitred corners; a negative width shrinks."""
     import shapely
 
     with np.errstate(divide="ignore", invalid="ignore"):  # warnings about intermediate results that GEOS discards

@@ -149,7 +149,10 @@ class FreeVolume(Checked):
 
 
 def made(name: str, value: Any, kind: type[T]) -> T:
-    """Make a part from its value in a configuration: the part itself, or a mapping of its arguments.
+    """Make a part of a room, such as an obstacle, from its value in a configuration.
+
+    A value of the class `kind` is returned unchanged; a mapping has the arguments of `kind`. Messages call the value
+    `name`.
 
     Raises:
         InputError: the value is neither a part nor a mapping, an argument is unknown or missing, or the part is
@@ -171,7 +174,7 @@ def made(name: str, value: Any, kind: type[T]) -> T:
 
 
 def all_made(name: str, value: Any, kind: type[T]) -> tuple[T, ...]:
-    """Make the parts in a list of a configuration; an entry is a part, or a mapping of the part's arguments.
+    """Make the parts of a room, such as obstacles, from a list in a configuration; `made` makes each part.
 
     Raises:
         InputError: the value is not a list, or an entry is invalid, see `made`.
@@ -205,7 +208,8 @@ class KeepOut(Checked):
     left and below if the viewer faces a wall with z up, or the floor or ceiling with y up.
 
     Raises:
-        InputError: the part is empty, or the arguments are neither both spans nor only the corners.
+        InputError: the part is empty, or is not given in exactly one of two ways: by `from_left` and `from_below`, or
+            by `corners`.
     """
 
     surface: str
@@ -224,7 +228,7 @@ class KeepOut(Checked):
             raise InputError("from_left and from_below, or corners in their place, must be given.", "from_left")
 
     def check_on(self, name: str, extent: tuple[float, float]) -> None:
-        """Raise `InputError` if the keep-out reaches beyond its surface.
+        """Raise `InputError` if the keep-out reaches more than `BEYOND_SURFACE_M` beyond its surface.
 
         Args:
             name: name of the argument with the keep-out, for messages.

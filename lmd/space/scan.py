@@ -111,8 +111,9 @@ class Scan(Checked):
 
     @cached_property
     def solids(self) -> Triangles | None:
-        """Triangles from which the camera keeps its clearance: all triangles except floor and ceiling; None if there
-        are no other triangles.
+        """Triangles from which the camera keeps its clearance: all triangles except floor and ceiling.
+
+        The result is None if there are no other triangles.
         """
         z, (low, high) = self._corners[..., 2], self.bounds
         level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL_NORMAL_Z

@@ -107,10 +107,10 @@ class Space(Protocol):
         """Surfaces that may carry landmarks; a landmark stores the index of its surface."""
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """For each landmark `(K, 3)`, index of the surface whose rectangle contains the landmark, `(K,)`; -1 if no
-        rectangle does.
+        """For each landmark `(K, 3)`, index of the surface whose rectangle contains the landmark, `(K,)`.
 
-        The landmark may be outside the allowed region of the surface.
+        The index is -1 if no rectangle contains the landmark. The landmark may be outside the allowed region of the
+        surface.
         """
 
     def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
@@ -150,9 +150,10 @@ class Space(Protocol):
         """Room with half the grid spacing."""
 
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """Draw `repeats` uniform positions, stratified, in the cell of each of P grid positions, `(repeats P, 3)`.
+        """Draw `repeats` uniform positions in the cell of each of P grid positions, `(repeats P, 3)`.
 
-        Row i belongs to grid position i mod P.
+        The draws in a cell are stratified: more evenly spread than independent draws. Row i belongs to grid position
+        i mod P.
         """
 
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
@@ -226,7 +227,7 @@ def check_positions(trajectory: Trajectory, room: Space) -> None:
 
 
 def check_inside(trajectory: Trajectory, room: Space) -> None:
-    """Raise `InputError` like `check_positions`, and if the camera passes through an obstacle."""
+    """Raise `InputError` if the camera leaves the closed room, is inside an obstacle, or passes through an obstacle."""
     check_positions(trajectory, room)
     positions = trajectory.poses[:, :3, 3]
     through = np.flatnonzero(~room.clear(positions[:-1], positions[1:]))

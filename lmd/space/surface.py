@@ -37,7 +37,10 @@ MAX_ELONGATION = 3.0
 
 @dataclass(frozen=True)
 class Surface:
-    """Rectangle that may carry landmarks: points are origin + a u + b v, 0 <= (a, b) <= extent."""
+    """Rectangle that may carry landmarks, everywhere or only in an allowed region.
+
+    The points of the rectangle are origin + a u + b v with 0 <= (a, b) <= extent; u and v are orthogonal unit vectors.
+    """
 
     name: str
     """Name in configurations and messages."""

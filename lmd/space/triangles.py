@@ -75,8 +75,8 @@ def box_tree(
 def _cut(part: IntArray, low: FloatArray, high: FloatArray, middle: FloatArray) -> Sequence[IntArray]:
     """Cut a set of boxes into two parts by the surface area heuristic (MacDonald and Booth, 1990).
 
-    A set of at most `SMALL` boxes is cut at the median instead. `part` are the indices of the boxes; `middle` are twice
-    all centres.
+    A set of at most `SMALL` boxes is cut at the median instead. `part` has the indices of the boxes of the set. All
+    boxes have the corners `low` and `high`; `middle` is the sum of both corners. Return the indices of each part.
     """
     if len(part) <= SMALL:
         part = part[np.argsort(middle[part, np.argmax(np.ptp(middle[part], axis=0))], kind="stable")]

@@ -141,7 +141,8 @@ def _enclosed(path: str, drawing: Drawing, gap: float, start: Sequence[float] | 
     """Find the region of the room; the arguments are those of `plan_of`.
 
     Returns:
-        shapely polygon of the region, and text about the other regions, to be added to a message; it may be empty.
+        shapely polygon of the region, and a remark about the largest other region, for messages; the remark may be
+        empty.
     """
     import shapely
     from scipy.sparse import coo_array

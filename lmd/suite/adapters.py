@@ -2,7 +2,7 @@
 
 Other libraries need a single line of code each, see docs/suite.md.
 
-The suite maximises values; libraries that minimise get the values with the opposite sign.
+The suite maximises the fitness; libraries that minimise get the fitness with the opposite sign.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -100,6 +100,6 @@ class BlackBox:
         return scored.metrics(deployment) | validation_metrics(scored, deployment, seed)
 
     def _values(self, genes: FloatArray) -> FloatArray:
-        """Values of candidates whose genes `(B, d)` have been checked: `(B,)`, or `(B, M)` for M objectives."""
+        """Fitness `(B,)` of candidates whose genes `(B, d)` have been checked; `(B, M)` for M > 1 objectives."""
         fitness = self.genome.fitness_of_genes(genes)
         return np.where(np.isfinite(fitness), fitness, IMPOSSIBLE)

@@ -93,7 +93,7 @@ def names(which: str = "full") -> list[str]:
 def document(name: str) -> Document:
     """Document of the problem `name`, or of an instance of a problem, such as `tiny_mean-3`.
 
-    The document of an instance has no bound and no best candidate.
+    The document of an instance has no upper bound on the fitness, and no best candidate.
 
     Raises:
         InputError: no problem has that name, or its document is damaged.
@@ -123,9 +123,9 @@ def with_paths(node: Any) -> Any:
 
 
 def _changed(node: Any, change: Mapping[str, Callable[[str], str]]) -> Any:
-    """Copy the config nodes of a problem, and convert the values of the keys in `change`.
+    """Copy nested mappings and lists, and replace the values of certain keys.
 
-    `change` has a function for each of these keys, which returns the new value from the old value.
+    `change` has a function for each of these keys, which returns the new value for the old value.
     """
     if isinstance(node, Mapping):
         return {

@@ -44,12 +44,17 @@ def instance_of(name: str) -> int:
 
 
 def drawn(nodes: Mapping[str, Any], family: str, instance: int) -> dict[str, Any]:
-    """Config nodes of an instance of a family.
+    """Draw an instance, that is, a random variant of a problem of the suite.
+
+    A problem is described by nested mappings, as in a configuration file.
 
     Args:
-        nodes: config nodes of the frozen problem.
-        family: name of the frozen problem; this name and `instance` are the seed of the random draws.
+        nodes: mappings of the problem, which are not changed.
+        family: name of the problem; the name and `instance` are the seed of the random draws.
         instance: number of the instance, from 1 on.
+
+    Returns:
+        copy of `nodes` in which some numbers are randomly changed.
     """
     rng = np.random.default_rng([zlib.crc32(family.encode()), instance])
     made = copy.deepcopy(dict(nodes))
@@ -74,7 +79,7 @@ def _draws() -> Mapping[str, Any]:
 
 
 def _parts(node: Any) -> Iterator[dict[str, Any]]:
-    """Yield all config nodes within `node` that name a class; nested nodes come before the node that contains them."""
+    """Yield all mappings within `node` that name a class (`_target_`); a nested mapping precedes the outer one."""
     for value in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
         yield from _parts(value)
     if isinstance(node, dict) and TARGET in node:

@@ -68,7 +68,7 @@ def camera_of(frozen: Document) -> Camera:
 
 
 def _made(node: Any) -> Any:
-    """Make the object that a config node describes, with the objects of all nested nodes."""
+    """Make the object that `node` describes: a mapping with a class (`_target_`) and its arguments, perhaps nested."""
     if isinstance(node, list):
         return [_made(each) for each in node]
     if not isinstance(node, Mapping):

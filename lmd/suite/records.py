@@ -110,9 +110,9 @@ def _values(box: BlackBox, deployment: Deployment) -> FloatArray:
 
 
 def hypervolume(points: FloatArray) -> float:
-    """Area that the points `(N, 2)` of a front dominate, between the origin and the front.
+    """Area (hypervolume) between the origin and a front of `points` `(N, 2)`, whose coordinates are to be maximised.
 
-    Both coordinates are maximised.
+    Each point adds the rectangle with the origin and this point as opposite corners; overlaps count once.
     """
     first, second = points[np.argsort(-points[:, 0])].T
     return float(-np.diff(first, append=0.0) @ np.maximum.accumulate(second))

@@ -53,8 +53,8 @@ class SeveralObjectives(BlackBox):
 class TagChoice(BlackBox):
     """Problem in which tags may be left out, with two objectives: the fitness, and the fraction of the tags left out.
 
-    The fraction is a fraction of the number of tags, or of the total area of their paper. Each tag has an additional
-    gene in [0, 1]: the tag is hung if this gene is at least `HUNG`. A candidate without hung tags has the fitness 0.
+    The fraction is that of the number of tags, or of the area of paper. Each tag has an additional gene in [0, 1]: the
+    tag is hung if this gene is at least `HUNG`. A candidate without hung tags has the fitness 0.
 
     Args:
         problem: problem in which all tags are hung.

@@ -7,7 +7,7 @@
 3. Each part is adjusted by itself, with links of motion between its own frames; this also estimates the noise of the
    motion model (its *spread*).
 4. A *relation* is the relative pose of two parts. A relation is measured by pairs of frames, one of each part, that are
-   near in time. Relations join the parts, those with most agreeing frames first (maximum spanning tree).
+   near in time. Relations join the parts; the relations on which most frames agree come first (maximum spanning tree).
 """
 
 from collections.abc import Sequence
@@ -137,9 +137,9 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
     """Join parts (groups of tags) by relations, that is, estimated relative poses of two parts.
 
-    The body must not leap, that is, move too far, from a frame of one part to a later frame of another. If frames with
-    leaps are fewer than the frames that agree on the weakest relation between the two parts, the ids of tags in these
-    frames were misread. Otherwise this relation is wrong, and is removed.
+    The body must not leap, that is, move too far, from a frame of one part to a later frame of another. A leap casts
+    doubt on the weakest relation that connects the two parts, that is, the relation on which the fewest frames agree.
+    If even fewer frames have leaps, the ids of their tags were misread. Otherwise the relation is removed as wrong.
 
     Args:
         nodes: nodes (pairs of a frame and a part), with the motion between the nodes.
@@ -186,9 +186,9 @@ def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, Int
         relations: relative poses of pairs of parts, the most reliable first.
 
     Returns:
-        rigid motions from the world frames of the parts to common world frames, `(P, 4, 4)`; index of the common world
-        of each part, `(P,)`; for each pair of parts, index of the relation that joined them, `(P, P)`, -1 for pairs
-        that are not joined. This relation is the weakest between the two parts.
+        rigid motions from the world frames of the parts to common world frames, `(P, 4, 4)`; index of each part's
+        common world, `(P,)`. Then the index of the relation that joined each pair of parts, `(P, P)`, -1 if not joined.
+        On the way from one part to the other in the tree, this relation is the least reliable.
     """
     worlds, joined = np.tile(np.eye(4), (count, 1, 1)), np.arange(count)
     joined_by = np.full((count, count), -1)

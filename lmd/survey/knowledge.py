@@ -63,10 +63,10 @@ class MeasuredPoints:
 
 @dataclass(frozen=True)
 class Boards(Checked):
-    """Flat printed sheets, each with several tags that all point up in one direction.
+    """Flat printed sheets with several tags each. All tags on a sheet have their upper edges in one direction.
 
     Raises:
-        InputError: a tag occurs twice, a sheet has only one tag, or `printed` is not positive.
+        InputError: a tag occurs twice, a sheet has only one tag, or the standard deviation `printed` is not positive.
     """
 
     names: tuple[str, ...]
@@ -167,8 +167,9 @@ class PriorKnowledge:
         return nothing if self.plan is None else _among(ids, self.plan.ids, poses_of(self.plan))
 
     def prior(self, ids: IntArray) -> Prior:
-        """Prior on the poses of the tags `ids` `(K,)`, ascending. A measured centre replaces the planned position of a
-        tag; the pose of a fixed tag replaces both.
+        """Prior on the poses of the tags `ids` `(K,)`, ascending. The expected pose of a tag is its planned pose; a
+        measured centre replaces the planned position. For fixed tags, the expected pose is the fixed pose. Tags without
+        such knowledge have no prior. Tags on printed boards also have a prior relative to each other.
         """
         tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
         planned = np.isfinite(self.planned(ids)[:, 0, 0])
@@ -186,8 +187,8 @@ class PriorKnowledge:
 
 
 def _among(ids: IntArray, known: IntArray, values: FloatArray) -> FloatArray:
-    """Values of the tags `ids`, `(K, ...)`; NaN for tags that are not in `known`. `values` `(n, ...)` has the values of
-    the tags with the ids `known` `(n,)`.
+    """Rows of `values` `(n, ...)` for the tags `ids` `(K,)`, as an array `(K, ...)`; NaN for tags without a row.
+    `known` `(n,)` has the id of the tag to which each row belongs.
     """
     found = np.full((len(ids), *values.shape[1:]), np.nan)
     _, of, own = np.intersect1d(ids, known, return_indices=True)

@@ -69,7 +69,7 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
 
 def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int | None) -> tuple[Poses, IntArray, Prior]:
     """Move initial poses into one world frame, which the prior of the tags defines. If the prior has a motion model,
-    groups of tags that no image connects are first joined by the motion between frames.
+    the motion between frames first joins groups of tags that no image connects.
 
     Args:
         sightings: sightings of the tags.
@@ -78,11 +78,13 @@ def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int |
         origin: id of the tag whose frame is the world if no tag has a prior; None for the tag seen most often.
 
     Returns:
-        initial poses with one body for all cameras; group of each tag, `(K,)`, 0 in the world frame of the prior; prior
-        with the estimated noise (spread) of the motion model.
+        initial poses with one body for all cameras; index of each tag's group, `(K,)`; prior with the estimated noise
+        (spread) of the motion model. Tags of group 0 are in the prior's world frame. Each other group (1, 2, ...) keeps
+        a world frame of its own. The index is -1 for tags without a pose.
 
     Raises:
-        InputError: a camera was never placed together with the first camera, or the prior determines no world frame.
+        InputError: no tag has a pose, the prior determines no world frame, or a camera has no pose at any frame at
+            which an earlier camera has one.
     """
     poses, group = _mounted(sightings, start.poses), start.group
     if prior.motion is not None:
@@ -105,7 +107,7 @@ def _mounted(sightings: Sightings, apart: Poses) -> Poses:
         apart: poses of tags, and of each camera at each frame, found with `sightings.with_separate_cameras()`.
 
     Raises:
-        InputError: a camera was never placed together with the first camera.
+        InputError: a camera has no pose at any frame at which an earlier camera has one.
     """
     views = apart.frames.reshape(sightings.cameras, sightings.frames, 4, 4)
     found, frames = np.tile(np.eye(4), (sightings.cameras, 1, 1)), views[0].copy()

@@ -135,8 +135,8 @@ def survey(
         observer: called at each stage, see `Observer`.
 
     Raises:
-        InputError: the detections connect no two tags, do not determine the pose of any tag, or have other tags or
-            cameras than `tag` and `cameras`.
+        InputError: the detections connect no two tags, do not determine the pose of any tag, or do not match `tag` and
+            `cameras`.
     """
     ids = _believed(detected, tag, known)
     seen = Observations(detected, tuple(map(Optics, cameras)), ids, known.edges(ids, tag), tag.modules, errors)
@@ -178,11 +178,12 @@ def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArr
 
 
 def _turned(seen: Observations, known: PriorKnowledge) -> tuple[tuple[Observations, Prior, IntArray, Start], int]:
-    """Find initial poses, and the quarter turns by which tags or corner numbers are rotated relative to the prior.
+    """Find initial poses, and quarter turns: tags may hang rotated, and corners may be numbered from another corner.
 
     Returns:
-        a tuple of the detections and the prior, both with the turns applied, the turns `(2, K)` (see
-        `lmd.survey.world.turns_of`), and the initial poses; number of sightings that agree with the initial poses.
+        a tuple; number of sightings that agree with the initial poses. The tuple has the detections with renumbered
+        corners, the prior with rotated tags, the quarter turns `(2, K)`, see `lmd.survey.world.turns_of`, and the
+        initial poses.
     """
     given = replace(known.prior(seen.ids), motion=_motion(seen, known))
     turned, prior, turns = seen, given, np.zeros((2, len(seen.ids)), dtype=np.int64)

@@ -58,7 +58,7 @@ def into_world(
     sightings: Sightings, poses: Poses, group: IntArray, prior: Prior, origin: int | None
 ) -> tuple[Poses, IntArray, Prior]:
     """Move the groups whose tags determine the prior's world frame into this frame, as group 0. Other groups keep their
-    own world frames, and are numbered 1, 2, ... Returns poses, groups of tags and prior.
+    own world frames, and are numbered 1, 2, ...; frames that show them lose their poses.
 
     Args:
         sightings: sightings of the tags.
@@ -66,6 +66,9 @@ def into_world(
         group: group of each tag, `(K,)`, -1 for tags without a pose.
         prior: prior of the tags. If it holds no tag, the tag `origin` is added to the prior.
         origin: id of the tag whose frame is the world if the prior holds no tag; None for the tag seen most often.
+
+    Returns:
+        poses; number of each tag's group, `(K,)`, -1 for tags without a pose; prior, which now determines the world.
 
     Raises:
         InputError: the tag `origin` has no pose, or the prior does not determine a world frame.

@@ -92,8 +92,10 @@ class Drives(Checked):
 
     @property
     def start(self) -> FloatArray:
-        """Covariance of the initial pose, `(21,)`. The numbers are in the order that `lmd.objectives.filtered.lanes`
-        states: block of the position, mixed block, block of the rotation.
+        """Covariance of the initial pose, `(21,)`: the different entries of a symmetric 6 x 6 matrix.
+
+        The first 6 numbers are the block of the position, the next 9 the covariances of position and rotation, and the
+        last 6 the block of the rotation, see `lmd.objectives.filtered.lanes`.
         """
         start = np.zeros(21)
         start[[0, 3, 5]] = min(self.start_position, UNKNOWN_POSITION) ** 2
@@ -102,9 +104,11 @@ class Drives(Checked):
 
     @property
     def vaguest(self) -> float:
-        """Greatest variance that a pose reaches without tags, along or about an axis, m^2 or rad^2: the initial
-        variance plus the variance of the odometry. Errors of the position that follow from errors of the rotation are
-        ignored.
+        """Greatest variance that a pose reaches along or about an axis if no tag is seen.
+
+        The variance is the sum of the initial variance and the variance of the odometry along a whole drive. The result
+        is the larger of two numbers, m^2 for the position and rad^2 for the rotation. Errors of the position that
+        follow from errors of the rotation are ignored.
         """
         drift = np.add.reduceat(self.moves[:, 3:], self.first[:-1]).max(axis=0)
         return float((self.start[[0, 15]] + drift).max())

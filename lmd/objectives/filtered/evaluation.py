@@ -80,7 +80,9 @@ def frame_information(
 
 
 def _cameras(scene: Scene, axes: FloatArray) -> tuple[Any, FloatArray, FloatArray]:
-    """Cameras of the scene, with their offsets and axes in each frame; `axes` `(F, 6)` are those of the body.
+    """Cameras of the scene, with the offset and the axes of each camera in each frame, in the world frame.
+
+    `axes` `(F, 6)` are the axes of the body.
 
     Returns:
         the C cameras; offsets from the body, `(C, F, 3)`, metres; optical axes and directions to the right, `(C, F,

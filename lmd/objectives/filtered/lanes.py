@@ -2,24 +2,24 @@
 
 Each drive occupies a *lane*, so that the loops over lanes vectorise. Number j of lane l lies at `array[j * LANES + l]`.
 
-The error of the estimate is X = X^ exp(e) with a body twist e, as in the invariant Kalman filter of
-`lmd.estimation.fusion`. The motion T between two frames and the information I of the tags in view update the
-covariance:
+As in the invariant Kalman filter of `lmd.estimation.fusion`, the true pose is X = X^ exp(e). X^ is the estimate, and
+the error e is a twist in the axes of the body. P is the covariance of the error. The motion T between two frames and
+the information I of the tags in view update P:
 
     P <- Ad(T^-1) P Ad(T^-1)^T + Q,        P^-1 <- P^-1 + I.
 
-Here the twist is expressed in the axes of the world: v is the error of the camera's position and w the error of its
-rotation. In these axes Ad(T^-1) is v <- v + w x d with the displacement d of the camera. Odometry with equal noise
-along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes, with the noise densities m and t (position and
-rotation) and the time h. I has the numbers of `lmd.objectives.localisation.information` times `Tolerance.scale`, which
-contains the noise.
+The code expresses the error in the axes of the world: v is the error of the camera's position and w the error of its
+rotation. In these axes, Ad(T^-1) replaces v by v + w x d with the displacement d of the camera, and keeps w. Odometry
+with equal noise along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes. Here m and t are the noise
+densities of position and rotation, and h is the time. I is the information of `lmd.objectives.localisation.information`
+times `Tolerance.scale`, which contains the noise of the images.
 
 A covariance or an information is 21 numbers, in three blocks. The first is the block of v as xx, xy, xz, yy, yz, zz.
 Then come the block of v and w row by row, and the block of w in the order of the block of v. The functions take numbers
 or arrays; kernels compile the functions that the reference calls, so the results are equal bit for bit.
 
 The information of a view is rounded to multiples of `information.QUANTUM`. In a direction that the view leaves
-undetermined, the rounded information is a small number of either sign. Such numbers matter if P is large, so
+undetermined, the rounded information is a small number of either sign. If P is large, such numbers matter, so
 `update_beyond_rounding` leaves out such directions.
 """
 
@@ -132,17 +132,16 @@ def updated(p: Any, i: Any, scale: float) -> tuple[Number, ...]:
 def update_beyond_rounding(
     rows: FloatArray, sums: FloatArray, lane: Integer, step: Integer, scale: float, least: float, work: FloatArray
 ) -> None:
-    """Update a covariance in place with the information of an image, ignoring directions whose information is below the
-    rounding error.
+    """Update a covariance in place with the information of an image, except in directions where it is a rounding error.
 
     The information is decomposed into terms d h h^T with a pivot d and a direction h, the largest pivot first. Each
-    term updates the covariance P as a scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
+    term updates the covariance P as a scalar measurement: P <- P - P h h^T P / (h^T P h + r) with r = 1 / (scale d).
+    The variance r is increased to `COVARIANCE_ERROR` times tr P if it is smaller.
 
     Args:
-        rows, sums: covariances and information of all lanes (drives that are filtered in parallel), 21 numbers each in
-            the order of the module: block of the position (xx, xy, xz, yy, yz, zz), mixed block row by row, block of
-            the rotation.
-        lane, step: number j of the lane is entry `lane + j * step` of `rows` and of `sums`.
+        rows, sums: covariances and information of all lanes (drives that are filtered in parallel).
+        lane, step: the lane's covariance has the numbers `rows[lane + j * step]`, and its information the numbers
+            `sums[lane + j * step]`, j from 0 to 20, in the order of the module.
         scale: factor of the information.
         least: least pivot d that counts as information; smaller pivots are rounding errors.
         work: working memory, `(3, 6, 6)`.
@@ -194,7 +193,7 @@ MOVES = 5  # numbers of a move, see `Drives.moves`
 
 
 class Tolerance(NamedTuple):
-    """Limits of the covariance up to which a pose counts as known, and two constants for the information of images."""
+    """Limits up to which a pose counts as known, scale of an image's information, and threshold of rounding errors."""
 
     position: float
     """Greatest trace of the covariance of the position, m^2."""
@@ -237,7 +236,10 @@ def lanes() -> Lanes:
 
 @inlined
 def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
-    """Read the covariance or the information of one lane (one of the drives filtered in parallel), 21 numbers."""
+    """Read the covariance or the information of one lane (one of the drives filtered in parallel), 21 numbers.
+
+    `rows` `(21 LANES,)` has number j of lane l at `j * LANES + l`.
+    """
     return (
         rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
         rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],
@@ -248,7 +250,10 @@ def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
 
 @inlined
 def _write(rows: FloatArray, lane: Integer, p: Any) -> None:
-    """Write the covariance `p` of one lane (one of the drives filtered in parallel), 21 numbers, into `rows`."""
+    """Write the covariance `p` of one lane (one of the drives filtered in parallel), 21 numbers, into `rows`.
+
+    `rows` `(21 LANES,)` has number j of lane l at `j * LANES + l`.
+    """
     (
         rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
         rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],

@@ -149,8 +149,10 @@ class Filtered(AtLeast):
         return precision(camera, scene.tag, self.pixel_noise, *limits, scene.edges)
 
     def limits(self, scene: Scene) -> Tolerance:
-        """Settings of the filter: limits of the covariance up to which a pose counts as known, factor from the sums of
-        information to SI units, and threshold for rounding errors.
+        """Settings of the filter: limits up to which a pose counts as known, scale and least value of the information.
+
+        The scale converts the stored information of an image to 1 / m^2 and 1 / rad^2. Information below the least
+        value counts as a rounding error; the least value is None if rounding does not matter.
         """
         turn = math.inf if self.rotation_tolerance is None else self.rotation_tolerance
         scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)

@@ -45,7 +45,7 @@ def bit_of(k: Integer) -> Any:
 
 @inlined
 def _is_covered(state: Any, f: Integer, k: Integer) -> Any:
-    """True if the camera covers landmark k in frame f if no landmark hides another one."""
+    """True if the camera covers landmark k in frame f, occlusion by other landmarks ignored."""
     return state.covered[f, word_of(k)] & bit_of(k) != ZERO
 
 
@@ -76,8 +76,9 @@ def hide_each_other(i: Integer, pose: Any, k: Integer, other: Any, f: Integer, f
 def covers_alone(f: Integer, pose: Any, mine: Any, clear: Any, ends: Any, field: Any) -> Any:
     """True if the camera covers a landmark at `pose` in frame f, other landmarks ignored.
 
-    `mine` is the compiled model of sight for this landmark. `clear` is True if the room has no obstacles. Otherwise the
-    first row of `ends` is the result of `lmd.sight.obstacles.find_ends` for the landmark.
+    `mine` is the model of sight: the numbers of the visibility model for this landmark. `clear` is True if the room has
+    no obstacles. Otherwise row 0 of `ends` has the points of the landmark that must be in view, see
+    `lmd.sight.obstacles.find_ends`.
     """
     offset = offset_of(pose[0], f, field)
     reached, low, _, _ = from_position(mine, offset, pose[1], 0.0)
@@ -107,10 +108,11 @@ def _mark_ahead(field: Any, scratch: Any) -> None:
 
 @inner
 def _flush(role: Integer, count: Integer, k: Integer, normal: Any, field: Any, scratch: Any) -> None:
-    """Subtract the information of landmark k at its old place from frames, or add its information at the new place.
+    """Update the information of the frames in a buffer for one place of the moving landmark k.
 
-    The first `count` entries of a buffer (`spots`) are the frames that see the landmark. `role` is 0 for the old place
-    and 1 for the new place; each has its own buffer.
+    With the `role` 0, the information at the old place is subtracted; with the `role` 1, the information at the new
+    place is added. Each role has its own buffer (`spots`), of which the first `count` entries are frames that see the
+    landmark at this place. `normal` is the unit normal there.
     """
     spots, shares, frames, asked = scratch.spots[role], scratch.shares, scratch.spotted[role], field.precision
     right, up = upright_sides(half_of(asked, k), normal)
@@ -266,7 +268,7 @@ def _meet(j: Integer, f: Integer, k: Integer, covered: Any, field: Any, state: A
     If the move changes whether k hides j, frame and landmark are listed in `scratch.pairs`.
 
     Returns:
-        1 if j hides k at its new place and the camera covers k there (`covered`), else 0.
+        1 if the camera covers k at the new place of k (`covered`) and j hides k there, else 0.
     """
     seen, hiding, change, other = _is_covered(state, f, j), False, np.int64(0), pair3(state.poses, j)
     before, after = scratch.near[0, word_of(j)] & bit_of(j), scratch.near[1, word_of(j)] & bit_of(j)

@@ -1,17 +1,17 @@
 """Planar ambiguity: the two poses of a single tag, and the residual that distinguishes the poses.
 
-Far from the camera, a square has nearly the same image after its normal is mirrored about the line of sight: these are
-the two solutions of IPPE. Let s be the edge, d >> s the distance, t and u the unit vectors to the square's right and
-up, and b the unit vector to its centre. Let p = t . b and q = u . b, so that p^2 + q^2 is the squared sine of the
-incidence angle, and f the focal length in pixels. The translation, rotation and foreshortening of the mirrored pose
+Far from the camera, a square has nearly the same image after its normal is mirrored about the line of sight: the two
+poses are the two solutions of IPPE. Let s be the edge, d >> s the distance, t and u the unit vectors to the square's
+right and up, and b the unit vector to its centre. Let p = t . b and q = u . b, so that p^2 + q^2 is the squared sine of
+the incidence angle, and f the focal length in pixels. The translation, rotation and foreshortening of the mirrored pose
 absorb all differences of the two images but one, to the leading order in s / d. Perspective moves the corners of one
 diagonal in one direction and the corners of the other diagonal in the opposite direction. This difference leaves the
 squared residual
 
-    S = (f s^2 / d^2)^2 (p^2 + q^2 - 4 p^2 q^2)
+    S = (f s^2 / d^2)^2 (p^2 + q^2 - 4 p^2 q^2),
 
-over the eight coordinates. A solver takes the pose that fits better. With noise of sigma on each coordinate, the
-mirrored pose fits better with the probability
+summed over the eight coordinates of the corners. A solver takes the pose that fits better. With noise of sigma on each
+coordinate, the mirrored pose fits better with the probability
 
     P = Q(sqrt(S) / (2 sigma)),    Q(x) the probability that a standard normal variable exceeds x.
 
@@ -20,15 +20,15 @@ grow with `pixel_density`. docs/results/ambiguity.md has the error of P.
 
 Two or more tags are unambiguous, because the mirrored pose of one tag does not fit another tag.
 
-A rig has one mirrored pose for all cameras. Mirrored about its own line of sight b_i, the tag has the residual S_i in
-camera i. About another line b, its corners are also displaced by twice their depth from the tag's centre times b_i - b.
-The best b leaves the squared residual S, to the leading order in edge and baseline over distance, because every other
-displacement of the mirrored tag is common to all cameras. So
+A rig has one mirrored pose for all cameras. Let b_i be the unit vector from camera i to the tag. For the tag mirrored
+about b_i, the residual in camera i is S_i. For the tag mirrored about another line b, the corners are also displaced by
+b_i - b times twice their depth from the tag's centre. The best b leaves the squared residual S, to the leading order in
+edge and baseline over distance, because every other displacement of the mirrored tag is common to all cameras. So
 
     S = sum S_i + sum m_i |b_i - b|^2,    m_i = 4 (f_i s / d_i)^2 (p_i^2 + q_i^2),    b = sum m_i b_i / sum m_i.
 
-With M = sum m_i, h = sum m_i b_i and |b_i| = 1, the second sum is M - |h|^2 / M: S follows from five numbers that add
-up. A further camera never lowers S.
+With M = sum m_i, h = sum m_i b_i and |b_i| = 1, the second sum is M - |h|^2 / M. So S follows from five sums over the
+cameras: sum S_i, M and the three components of h. A further camera never lowers S.
 
 At incidence angles below about 1.5 baselines over distance, radians, a rig has no second pose; S neglects this.
 docs/results/ambiguity.md has the error of S.
@@ -81,7 +81,7 @@ def _is_limit(limit: float | None) -> bool:
 
 @overridable
 def least_residual(limit: float | None) -> float:
-    """Required squared residual, as a number; 0 if `limit` (`Precision.residual`) is None."""
+    """Required squared residual of the mirrored pose, `limit` (`Precision.residual`), as a number; 0 if it is None."""
     return limit  # type: ignore[return-value] # None has a function of its own
 
 
@@ -105,7 +105,8 @@ def resolves_ambiguity(precision: Precision) -> bool:
 def mirrored_square(tag: Square) -> Number:
     """Squared residual S of the mirrored pose of a tag (see the module), times the cube of the tag's distance.
 
-    The unit is f^2, the squared focal length. The later weight `pixel_density` cancels the cube.
+    The unit of S is f^2, the squared focal length. The weight `pixel_density`, applied later, contains the inverse of
+    the cube.
     """
     offset, right, up = tag
     squared, along, above = dot3(offset, offset) + TINY, dot3(offset, right), dot3(offset, up)
@@ -117,8 +118,8 @@ def mirrored_square(tag: Square) -> Number:
 def residual_ratio(tag: Square, least: Number) -> Number:
     """Ratio of a tag's squared residual S (see the module) to the required one, `least`.
 
-    The result is multiplied by the cube of the tag's distance; the later weight `pixel_density` cancels it. Ratios
-    above `MOST` are clipped.
+    The result is multiplied by the cube of the tag's distance. The weight `pixel_density`, applied later, contains the
+    inverse of the cube. Ratios above `MOST` are clipped.
     """
     squared = dot3(tag[0], tag[0])
     return np.minimum(mirrored_square(tag) / least, MOST * (squared * np.sqrt(squared)))
@@ -126,10 +127,11 @@ def residual_ratio(tag: Square, least: Number) -> Number:
 
 @overridable
 def camera_residual(least: float | None, tag: Square) -> Number:
-    """Number of a tag that tells if its two poses can be distinguished: `residual_ratio`, or 0 if `least` is None.
+    """Contribution of a tag to the last number of a view's information: `residual_ratio`, or 0 if `least` is None.
 
-    `least` is the required squared residual in units of f^2 (`Precision.residual`). The last number of a view's
-    information is this number times the `pixel_density` of the tag, summed over the tags.
+    `least` is the required squared residual in units of f^2 (`Precision.residual`). The contributions of the tags in
+    view, times the `pixel_density` of each tag, are summed. The two poses of a single tag can be distinguished if the
+    sum is at least 1.
     """
     return residual_ratio(tag, least)
 
@@ -144,8 +146,8 @@ def mirrored_numbers(tag: Square, least: Number) -> tuple[Number, Number, Number
     """Five numbers of a tag in one camera of a rig; their sums over the cameras give the residual of the mirrored pose.
 
     The numbers are the ratio of S to the required residual `least`, then M and the three components of h, all defined
-    in the module. S and M are in units of f^2. Each number is multiplied by the cube of the tag's distance; the later
-    weight `pixel_density` cancels it.
+    in the module. S and M are in units of f^2. Each number is multiplied by the cube of the tag's distance. The weight
+    `pixel_density`, applied later, contains the inverse of the cube.
     """
     offset, right, up = tag
     squared, along, above = dot3(offset, offset), dot3(offset, right), dot3(offset, up)
@@ -166,7 +168,8 @@ def rig_ratio(ratio: Number, m: Number, hx: Number, hy: Number, hz: Number, leas
 def has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
     """True if the image of the only tag in view v determines one pose; always True if `least` is None.
 
-    Number j of the view's information is `sums[v + j * step]`.
+    `least` is the required squared residual. Number j of the view's information is `sums[v + j * step]`; the last
+    number is the ratio of the residual to the required one.
     """
     return sums[v + NUMBERS * step] >= 1.0
 

@@ -1,4 +1,7 @@
-"""Functions that `lmd.objectives.localisation.views` declares, in their versions for a single camera."""
+"""Functions for landmarks that appear in the views of a single camera or disappear from these views.
+
+The functions are declared in `lmd.objectives.localisation.views`; `rig_changes` has the versions for a rig.
+"""
 
 from typing import Any
 

@@ -41,7 +41,8 @@ class ViewValues(NamedTuple):
     """`(B, P, D)` variance of the camera's position in each view, in units of `deviation_per_variance` squared; empty
     unless `keep` was set.
 
-    The variance is infinite for views that cover fewer than n landmarks or are ambiguous.
+    The variance is infinite for views that cover fewer than n landmarks, leave the pose undetermined, or are ambiguous
+    (if `Precision.residual` is not None).
     """
 
 
@@ -82,7 +83,8 @@ def _localise_range(
     """Write the `ViewValues` of B deployments at the positions `order[first:last]` into `values`.
 
     Args:
-        first, last, batch, tables, n: see `kernels.evaluate_range`, as for `order`.
+        first, last: range of indices of the array `order`, which is a part of `batch`.
+        batch, tables, n: see `kernels.evaluate_range`.
         places: number of binary digits in which landmarks are counted.
         precision, asks: limits that a localised view must satisfy, and the value of `Precision.asks` for these limits.
         values: receives the results; its variances are empty if they are not computed.

@@ -47,8 +47,8 @@ class LocalisationState(NamedTuple):
 class LocalisationScratch(NamedTuple):
     """Working memory with the results of the move tried last.
 
-    After the move is carried out, `units`, `located`, the row `LOCALISED` of `sets`, and `coverage` have the data of
-    the reverse move, which undoes it.
+    After the move is carried out, the scratch has the data of the reverse move, which undoes it, in `units`, `located`,
+    the row `LOCALISED` of `sets`, and `coverage`.
     """
 
     units: np.ndarray
@@ -79,7 +79,7 @@ class LocalisationField(NamedTuple):
     precision: Precision
     """Limits that a localised view must satisfy."""
     asks: bool
-    """True if a view needs more than n covered landmarks, see `Precision.asks`."""
+    """True if n covered landmarks do not suffice for a localised view, see `Precision.asks`."""
     weight: float
     """Weight w in the value (1 - w) L + w P_n of a position: L is the probability of a localised view, P_n that of n
     covered landmarks.

@@ -3,7 +3,7 @@
 Let d be the offset of a corner from the camera, r = |d|, and b = d / r the direction in which the camera sees the
 corner. If the camera moves by v and turns by w, both in the world frame, b turns by b x w - (I - b b^T) v / r. With
 isotropic noise, the corners together have an information of 15 numbers about (v, w), which do not depend on the
-orientation of the camera. The matrix:
+orientation of the camera. [g]x is the matrix of the cross product with g. The matrix:
 
     [ C       -[g]x ]       A = sum (I - b b^T),   g = sum b / r,   C = sum (I - b b^T) / r^2
     [ [g]x     A    ].
@@ -12,8 +12,9 @@ The information about the position, if the rotation is estimated too, is the Sch
 
     S = C - ((g^T A g) A - (A g) (A g)^T) / det A.
 
-The standard deviation of the position is (sigma / f) sqrt(tr S^-1). Here tr S^-1 is the sum of the principal 2 x 2
-minors of S over det S. The formulas for the rotation have A and C exchanged.
+The standard deviation of the position is (sigma / f) sqrt(tr S^-1), with the noise sigma of a corner's coordinate and
+the focal length f, both in pixels. Here tr S^-1 is the sum of the principal 2 x 2 minors of S, divided by det S. The
+formulas for the rotation have A and C exchanged.
 
 Noise is isotropic in pixels, not in directions. At the cosine c = z / r from the optical axis, a rotation of the
 direction moves the image by 1 / c^2 radially and 1 / c tangentially. The 15 numbers of a landmark at the distance r and
@@ -94,7 +95,7 @@ class Precision(NamedTuple):
 
     @property
     def asks(self) -> bool:
-        """True if a view needs more than n covered landmarks: its position or its rotation must be accurate."""
+        """True if n covered landmarks do not suffice for a localised view: the pose must also be accurate."""
         return bool(np.isfinite(self.position)) or self.rotation is not None
 
 
@@ -159,7 +160,8 @@ def moments(tag: Square, share: float) -> tuple[Number, ...]:
     """Information that a landmark gives about the camera's pose, before it is weighted for an orientation.
 
     The result is the 15 numbers A, g and C of the module, summed over the four corners, times the cube of the
-    landmark's distance. The later weight `pixel_density` cancels this cube. `share` is the weight of each corner.
+    landmark's distance. The weight `pixel_density`, applied later, contains the inverse of the cube. `share` is the
+    weight of each corner.
     """
     axx = axy = axz = ayy = ayz = azz = gx = gy = gz = cxx = cxy = cxz = cyy = cyz = czz = 0.0
     for i in range(4):
@@ -192,12 +194,13 @@ def share_of(moment: Number, weight: Number) -> Number:
 
 @inlined
 def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple[Number, Number, Number, Number]:
-    """Four numbers from which `inverse_trace` computes tr S^-1 for view v; S is the Schur complement of the module.
+    """Four numbers from which `inverse_trace` computes the variance of the position, or of the rotation, in view v.
 
-    The numbers are det A, the sum of the principal 2 x 2 minors of S det A, the determinant of S det A, and tr A.
+    The module defines the Schur complement S and the matrices A and C. The numbers are det A, then two numbers of the
+    matrix (det A) S, then tr A. The two numbers are the sum of the principal 2 x 2 minors, and the determinant.
 
-    Number j of the view's information is `sums[v + j * step]`. A begins at number `first` and C at number `last`: (0,
-    9) for the position, (9, 0) for the rotation, for which A and C are exchanged.
+    Number j of the view's information is `sums[v + j * step]`. The six numbers of A begin at number `first`, those of C
+    at number `last`: (0, 9) for the position, (9, 0) for the rotation, for which A and C are exchanged.
     """
     a, g = read6(sums, v + first * step, step), read3(sums, v + 6 * step, step)
     (axx, axy, axz, ayy, ayz, azz), (cxx, cxy, cxz, cyy, cyz, czz) = a, read6(sums, v + last * step, step)
@@ -211,9 +214,11 @@ def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple
 
 @inlined
 def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> tuple[Number, Number]:
-    """Trace of S^-1, computed from the four results of `_schur`, and a flag that is True if the trace is finite.
+    """Variance of the position or of the rotation, tr S^-1, and a flag that is False if the variance is infinite.
 
-    The trace is infinite if the corners leave a motion undetermined.
+    S is the information about the position or about the rotation, see the module. The arguments are the four results of
+    `_schur` or `_body_schur`. The variance is infinite if the corners leave a motion undetermined; the first result
+    then has no meaning.
     """
     fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
     return minors * det / rest, fixed
@@ -233,7 +238,7 @@ def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
 def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
     """Variance of the camera's rotation in view v, in units of `deviation_per_variance` squared.
 
-    Arguments and second result as in `variance`. The formula is that of the position with A and C exchanged.
+    Arguments and second result as in `variance`.
     """
     det, minors, rest, trace = _schur(sums, v, step, 9, 0)
     return inverse_trace(det, minors, rest, trace)
@@ -241,7 +246,7 @@ def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Num
 
 @inlined
 def log_det(sums: Any, v: Integer, step: Integer) -> Number:
-    """Logarithm of the determinant of the information about the camera's pose in view v: log(det A det S).
+    """Logarithm of the determinant of the information (a 6 x 6 matrix) about the camera's pose in view v.
 
     Number j of the view's information is `sums[v + j * step]`.
     """
@@ -267,7 +272,7 @@ BODY_WIDTH = 24  # length of a row of `sums`; rows begin at multiples of 64 byte
 def gain_of(camera: Camera, first: Camera) -> float:
     """Ratio of the information per pixel of a camera to that of the rig's first camera.
 
-    This is the ratio of the squared focal lengths.
+    The ratio is that of the squared focal lengths.
     """
     return float(np.prod(camera.focal_pixels)) / float(np.prod(first.focal_pixels))
 
@@ -294,10 +299,11 @@ def about_body(moments: tuple[Number, ...], arm: Vector) -> tuple[Number, ...]:
 
 @inlined
 def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Number]:
-    """Four numbers from which `inverse_trace` computes tr S^-1, for the matrix S = C - B A^-1 B^T.
+    """Four numbers from which `inverse_trace` computes tr S^-1, for the 3 x 3 matrix S = C - B A^-1 B^T.
 
-    The numbers are det A, the sum of the principal 2 x 2 minors of S det A, the determinant of S det A, and tr A. C and
-    A are symmetric, six numbers each; B is given by its three rows.
+    The numbers are det A, then two numbers of the matrix (det A) S, then tr A. The two numbers are the sum of the
+    principal 2 x 2 minors, and the determinant. `c` and `a` are the symmetric matrices C and A, six numbers each: xx,
+    xy, xz, yy, yz, zz. `rows` are the three rows of B.
     """
     m, (_, det), (x, y, z) = adjugate3(a), invariants3(a), rows
     px, py, pz = symmetric3(m, x), symmetric3(m, y), symmetric3(m, z)
@@ -310,9 +316,10 @@ def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Numb
 
 @inlined
 def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number, Number, Number]:
-    """Result of `_body_schur` for S = C - B A'^-1 B^T: the information about the body's position in view v.
+    """Four numbers from which `inverse_trace` computes the variance of the position of a rig's body in view v.
 
-    This S applies if the rotation is estimated too. Number j of the view's information is `sums[v + j * step]`.
+    The numbers are the result of `_body_schur` for S = C - B A'^-1 B^T, with the blocks C, B and A' that the module
+    defines. Number j of the view's information is `sums[v + j * step]`.
     """
     x, y, z = v + 6 * step, v + 9 * step, v + 12 * step
     rows = read3(sums, x, step), read3(sums, y, step), read3(sums, z, step)
@@ -333,8 +340,7 @@ def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]
 def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
     """Variance of the rotation of a rig's body in view v, in units of `deviation_per_variance` squared.
 
-    Arguments and second result as in `body_variance`. The formula is that of the position with C and A' exchanged and B
-    transposed.
+    Arguments and second result as in `body_variance`.
     """
     x, far = v + 6 * step, 3 * step
     columns = read3(sums, x, far), read3(sums, x + step, far), read3(sums, x + 2 * step, far)
@@ -344,7 +350,7 @@ def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number
 
 @inlined
 def body_log_det(sums: Any, v: Integer, step: Integer) -> Number:
-    """Logarithm of the determinant of the information about the body's pose in view v: log(det A' det S).
+    """Logarithm of the determinant of the information (a 6 x 6 matrix) about the pose of a rig's body in view v.
 
     Number j of the view's information is `sums[v + j * step]`.
     """

@@ -123,10 +123,10 @@ class LogDeterminant:
         raise NotImplementedError
 
     def choose(self, e: Evaluator, pose: Deployment) -> None:
-        """Add a landmark at `pose` to the chosen landmarks; evaluator `e` has the size of its tag.
+        """Add a landmark at `pose` to the chosen landmarks; the tags of evaluator `e` have the landmark's size.
 
-        The landmark's information is added to `sums`, and the log determinants `known` are updated; both arrays have an
-        entry for each view.
+        The landmark's information is added to the information of each view, `sums`, and the log determinant of each
+        view, `known`, is updated.
         """
         raise NotImplementedError
 

@@ -80,7 +80,7 @@ class Localisation(AtLeast):
 
     @property
     def _share(self) -> str:
-        """Name of the mean value in the mapping of metrics."""
+        """Name of the figure (metric) that is the mean of the positions' values."""
         return "weighted_share" if self.coverage_weight else "localised_share"
 
     @property

@@ -1,8 +1,8 @@
 """Information of a rig's views (orientations of the body at a position), summed over the landmarks that are seen.
 
-Each pair of a landmark and a view in which a camera sees it is listed first, because a loop over listed pairs
-vectorises. Number j of pair e (`AT`) lies at `work[j * BITS + e]`. A word is 64 consecutive orientations, stored as the
-bits of an integer.
+Each pair of a landmark and a view in which a camera sees the landmark is listed first, because a loop over listed pairs
+vectorises. A pair has `WORK` numbers, such as the landmark's offset: number j of pair e is `work[AT[j] + e]`. A word is
+64 consecutive orientations, stored as the bits of an integer.
 """
 
 from typing import Any, NamedTuple
@@ -132,9 +132,10 @@ def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Int
 
 @inner
 def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add to the information of each of the first `count` views its row of `sums` `(V, width)`.
+    """Add the stored information of the first `count` views to the information in the working memory.
 
-    The views are orientations of one word (64 orientations); row `first` belongs to the first of these orientations.
+    The views are orientations of one word (64 orientations). Row `first + b` of `sums` `(V, width)` is the stored
+    information of the view with orientation b of the word.
     """
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
@@ -144,9 +145,10 @@ def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: Bod
 
 @inner
 def store_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add the information of each of the first `count` views to its row of `sums` `(V, width)`.
+    """Add the information of the first `count` views in the working memory to the stored information.
 
-    The views are orientations of one word (64 orientations); row `first` belongs to the first of these orientations.
+    The views are orientations of one word (64 orientations). Row `first + b` of `sums` `(V, width)` is the stored
+    information of the view with orientation b of the word.
     """
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
@@ -249,8 +251,8 @@ def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
 def _square(work: FloatArray, i: Integer) -> Square:
     """Tag of pair i: three vectors, metres.
 
-    These are the offset of the tag's centre from the camera, and the vectors from the centre to the midpoints of the
-    right and of the upper edge.
+    The first is the offset of the tag's centre from the camera. The others are the vectors from the centre to the
+    midpoints of the right and of the upper edge.
     """
     return read3(work, i, VIEW), read3(work, AT[7] + i, VIEW), read3(work, AT[10] + i, VIEW)
 

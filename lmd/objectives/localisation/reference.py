@@ -1,7 +1,7 @@
 """Reference of localisation in NumPy, one function per formula; compiled code must equal the reference bit for bit.
 
-The reference also evaluates scenes whose visibility model has no compiled model of sight (`reference_views`,
-`log_det.ReferenceLogDeterminant`).
+The reference also evaluates scenes that compiled code cannot evaluate, because their visibility model has NumPy
+functions only (`reference_views`, `log_det.ReferenceLogDeterminant`).
 
 Shapes: A orientations, K landmarks.
 """
@@ -66,10 +66,11 @@ def view_information(
 def body_information(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Fisher information about the pose of a rig's body, summed over the cameras, and mask of the covered landmarks.
+    """Fisher information about the pose of a rig's body in each view, and mask `(A, K)` of the covered landmarks.
 
-    The shapes are `(width_of(asked), A)` and `(A, K)`, for A orientations `axes` `(A, 6)` of the body at `position`,
-    metres.
+    The information `(width_of(asked), A)` is summed over the cameras. A column has the 21 numbers of `information` for
+    one view, the five numbers of `ambiguity` if `asked` has a limit on the residual, and padding. The body is at
+    `position` `(3,)`, metres, and has the orientations `axes` `(A, 6)`.
     """
     sums, covered = np.zeros((len(axes), width_of(asked))), np.zeros((len(axes), len(deployment)), dtype=np.bool_)
     sides = [(asked.halves[:, None] * side).T for side in upright(deployment.normals)]
@@ -195,7 +196,10 @@ def log_det_of(scene: Scene, sums: FloatArray) -> FloatArray:
 def reference_views(
     evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Compute the fields of `evaluation.ViewValues` with the NumPy reference; arguments as in `localised_views`."""
+    """Compute P_n, L and the variance of each view, the fields of `ViewValues`, with the NumPy reference.
+
+    Arguments as in `evaluation.localised_views`.
+    """
     scene, axes, places = evaluator.scene, evaluator.scene.orientations.axes, evaluator.positions
     weights = np.broadcast_to(evaluator.weights[:, : len(axes)], (len(places), len(axes)))
     covered, localised = np.empty((2, len(positions), len(places)), dtype=np.int64)

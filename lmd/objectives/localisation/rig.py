@@ -43,9 +43,10 @@ VIEWS_AT_ONCE = 1 << 16  # greatest number of views in memory, 8 bytes per landm
 def rig_views(
     evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Compute the fields of `evaluation.ViewValues` for a rig; arguments as in `evaluation.localised_views`.
+    """Compute P_n, L and the variance of each view, the fields of `evaluation.ViewValues`, for a rig.
 
-    The precision is in units of the first camera's `deviation_per_variance`.
+    Arguments as in `evaluation.localised_views`. The precision is in units of the first camera's
+    `deviation_per_variance`.
     """
     size, orientations = len(evaluator.positions), evaluator.axes.shape[1]
     covered, localised = np.zeros((2, len(positions), size), dtype=np.int64)
@@ -87,11 +88,11 @@ def _localise(
         tags: centres and sides of the landmarks, result of `tags_of`.
         weights: quantised probability of each orientation, `(1, D)` or `(P, D)`.
         n, precision: number of landmarks that must be covered, and limits that a localised view must satisfy.
-        asks: value of `Precision.asks`: True if a view needs more than n covered landmarks.
+        asks: value of `Precision.asks`: True if n covered landmarks do not suffice for a localised view.
         views: working memory.
-        out: two arrays. P_n and L are added to the rows of the first array, `(2, P)`. The second array, `(P, D)` filled
-            with infinity, receives the variance of the body's position in each unambiguous view of n landmarks or more;
-            it is empty to skip the variances.
+        out: two arrays. P_n is added to row 0 and L to row 1 of the first array, `(2, P)`. The second array, `(P, D)`
+            filled with infinity, receives the variance of the body's position in each view of n landmarks or more. The
+            variance of a view without a unique pose stays infinite. An empty second array skips the variances.
     """
     some: Any = np.zeros(max(n, 2), dtype=np.uint64)
     found, variances = out

@@ -1,4 +1,7 @@
-"""Functions that `lmd.objectives.localisation.views` declares, in their versions for a rig."""
+"""Functions for landmarks that appear in the views of a rig or disappear from these views.
+
+The functions are declared in `lmd.objectives.localisation.views`; `camera_changes` has the versions for a camera.
+"""
 
 from typing import Any
 

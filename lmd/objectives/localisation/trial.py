@@ -1,17 +1,17 @@
 """Moves of single landmarks: bounds on L, exact L, and moves that are carried out or undone.
 
-Counts and occlusion come from the field of coverage (`lmd.incremental.trial`). The field of localisation adds, for
-every view, the sums of the landmarks' information (`information`), which are exact in any order, and the sets of
-localised views. Further landmarks never reduce the information of a view. So a move can change the decision for few
-views:
+L is the probability of a localised view. Counts and occlusion come from the field of coverage
+(`lmd.incremental.trial`). The field of localisation adds, for every view, the sums of the landmarks' information
+(`information`), which are exact in any order, and the sets of localised views. Further landmarks never reduce the
+information of a view. So the limits of `Precision` are tested again in few views. Such views cover n landmarks after
+the move, and meet one of three conditions:
 
-- if landmarks only disappear from a view, the decision may change if the view is localised and still covers n
-  landmarks.
-- if landmarks only appear in a view, the decision may change if the view is not localised and now covers n landmarks.
-- if landmarks appear and disappear, the decision may change if the view covers n landmarks.
+- landmarks only disappear from the view, which is localised before the move.
+- landmarks only appear in the view, which is not localised before the move.
+- landmarks appear and disappear.
 
 `bound_move` ignores that the landmark at the new place hides other landmarks or is hidden; occlusion only reduces
-information. `finish_move` repeats the decisions at the positions with such occlusion.
+information. `finish_move` repeats the tests at the positions with such occlusion.
 
 Camera and rig share this source, which is compiled separately for each; `views` declares the functions that differ.
 """
@@ -150,9 +150,10 @@ def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: A
 
 @inner
 def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write upper bounds on the values (`mixed`) of all positions after a move of landmark k into `scratch.units`.
+    """Write upper bounds on the positions' values after a move of landmark k to `scratch.units`, quantised.
 
-    `pose` `(6,)` is the new position (metres) and unit normal of the landmark.
+    The value of a position is (1 - w) L + w P_n. L is the probability of a localised view, P_n that of n covered
+    landmarks, and w is `field.weight`. `pose` `(6,)` is the new position (metres) and unit normal of the landmark.
     """
     cover, known, trial, i = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
     begin_move(i, pose, surface, cover, known, trial)

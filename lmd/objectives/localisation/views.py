@@ -205,9 +205,9 @@ def weigh(
 
 @inner
 def add_moments(rows: FloatArray, moments: FloatArray, weights: FloatArray, sign: float, count: Integer) -> None:
-    """Add the information of a landmark, times `sign`, to the information `rows` of a single camera's views.
+    """Add the information of a landmark, times `sign`, to the information `rows` of a camera's first `count` views.
 
-    `moments` `(WIDTH,)` belong to the landmark, `weights` to the landmark in each view.
+    `moments` `(WIDTH,)` is a row of `landmark_moments`, and `weights` are the landmark's `pixel_density` in each view.
     """
     for j in range(np.uint64(len(moments))):
         moment = moments[j]
@@ -221,7 +221,9 @@ def replace_moments(
 ) -> None:
     """Replace the information of one landmark by that of another in the information `rows` of a single camera's views.
 
-    `lost` are the moments of the landmark that is subtracted, `gained` those of the landmark that is added.
+    `lost` are the moments of the landmark that is subtracted, `gained` those of the landmark that is added. Rows
+    `DISAPPEARS` and `APPEARS` of `weights` are the `pixel_density` of the first and of the second landmark in each
+    view.
     """
     for j in range(np.uint64(len(lost))):
         old, new = lost[j], gained[j]
@@ -284,14 +286,14 @@ def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: A
     An orientation may be left out if it cannot change whether its view is localised.
 
     Args:
-        known, trial: state and scratch of coverage.
+        known, trial: state and scratch of coverage; `FRESH` is a row of `trial.sets`.
         k: the moving landmark.
         n: number of landmarks that must be covered.
         localised: bit sets of the localised views, `(Q, W)`.
         cover: field of coverage.
 
     Returns:
-        number of positions in the row `LISTED`: the positions whose values may change.
+        number of positions in the row `LISTED` of `trial.lists`: the positions whose values may change.
     """
 
 

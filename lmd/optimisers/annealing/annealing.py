@@ -78,10 +78,11 @@ class Annealing(DeploymentSearch):
         single: conditions of the stage that moves single landmarks after the stacks are separated.
         sampled: conditions that replace `single` for an objective that is evaluated on random samples of poses. These
             conditions smooth the objective more, so that the walk does not overfit the samples.
-        given: conditions of the single stage if the start is not random. The temperature is higher than in `single`,
-            because the start may be bad. If the objective is evaluated on samples, it is smoothed as in `sampled`.
-        chosen: conditions that replace `given` after a greedy start; a run starts greedily if the objective allows no
-            stacks.
+        given: conditions of the only stage if there are no stacks, for example because the start is not random. The
+            temperature is higher than in `single`, because the start may be bad. An objective that is evaluated on
+            samples is smoothed as in `sampled`.
+        chosen: conditions that replace `given` if the start is chosen greedily (`selection`): each landmark in turn is
+            put where it adds most. A greedy choice replaces a random start if the objective allows no stacks.
         stacked_share: share of the budget spent on stacks.
         climb_share: share of the budget spent on the gradient ascent, if the objective is evaluated on samples.
         walkers: largest number of walks that move landmarks at the same time, see `Surrogate`.
@@ -154,7 +155,10 @@ class Annealing(DeploymentSearch):
         return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _begin(self, problem: Problem, stack: int, limit: float, stop: Callable[[], bool]) -> int:
-        """Set the start of the run: a greedy choice, or random stacks if the budget suffices, or single landmarks.
+        """Set the landmarks or stacks with which the run starts.
+
+        Places are chosen greedily if `_is_greedy` is True. Otherwise the run starts with stacks if the problem's start
+        is random and the budget suffices for both stages, else with single landmarks.
 
         Args:
             problem: the problem.
@@ -198,8 +202,8 @@ class Annealing(DeploymentSearch):
             left: number of landmarks that may still be moved before the walk ends.
 
         Returns:
-            number of moved landmarks, and the deployment to evaluate on the full problem; None instead of a deployment
-            if none may be the best, or if the rest of the budget is too small for an evaluation.
+            cost, as a number of moved landmarks, and the deployment to evaluate on the full problem. The deployment is
+            None if the walk found no better one, or if the rest of the budget is too small for an evaluation.
         """
         count, stack = problem.count, surrogate.stack
         if self.in_stacks and used >= self.stacked_share:
@@ -231,8 +235,8 @@ class Annealing(DeploymentSearch):
             left: number of landmarks that may still be moved before the run ends.
 
         Returns:
-            number of moved landmarks, and the deployment to evaluate; None instead of a deployment if the rest of the
-            budget is too small for a step.
+            cost, as a number of moved landmarks, and the deployment to evaluate. The deployment is None if the rest of
+            the budget is too small for a step.
         """
         count, each = problem.count, PLACES_TRIED * problem.free_count
         steps = int(min(ASCENT_STEPS, (left - count) / each))

@@ -45,17 +45,18 @@ def slopes(
 ) -> None:  # fmt: skip
     """Write the slopes of the smoothed objective, for landmarks from `first` on, into `out`.
 
-    The slopes of a landmark are the derivatives with respect to its coordinates u and v on its surface.
+    The slopes of a landmark are the derivatives with respect to its coordinates u and v on its surface. The objective
+    gives each camera position a value in [0, 1]. Smoothing replaces a threshold on this value by a smooth step.
 
     Args:
         first: index of the first landmark that is not fixed.
-        field: incremental evaluator (`lmd.incremental.field`), which computes the value of each position.
+        field: incremental evaluator (`lmd.incremental.field`), which computes the values after a move.
         state: state of the evaluator with the landmarks at their places; it is not changed.
         scratch: working memory of the evaluator.
-        target: functions that compute the fitness from the values of all positions, a `Target`.
+        target: functions that compute the fitness from the values, a `Target`.
         surfaces: surfaces of the landmarks.
-        difference: step d of the central difference, metres.
-        width: width of the smooth step that replaces the threshold on values; values are in [0, 1].
+        difference: displacement d of a landmark for the central difference, metres.
+        width: width of the smooth step, on the scale of the values.
         out: slopes along u and v of K landmarks, `(K, 2)`, 1/metre.
     """
     units, accepted, known = scratch.units, state.units, placed(state)

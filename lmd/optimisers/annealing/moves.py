@@ -52,9 +52,9 @@ class Settings(NamedTuple):
 class FootprintArrays(NamedTuple):
     """Footprints of K landmarks, and the regions where landmarks may hang, in arrays.
 
-    A footprint is the square that a landmark covers on its surface. The regions consist of T trapezoids: some for each
-    of S sizes of landmarks on each of W surfaces. A move is not tried if footprints would overlap, or if a landmark
-    would leave its regions.
+    A footprint is the square that a landmark covers on its surface. There is a region for each of S sizes of landmarks
+    on each of W surfaces. The regions are divided into T trapezoids in all. A move is not tried if footprints would
+    overlap, or if a landmark would leave its regions.
     """
 
     edges: FloatArray
@@ -107,9 +107,9 @@ def _place(
 
 @inner
 def gather(k: int, members: IntArray, poses: FloatArray, group: IntArray) -> None:
-    """Write landmark k and its nearest neighbours among the `members` into `group`, as indices.
+    """Fill `group` with the indices of landmark k and of its nearest neighbours among the `members`.
 
-    The length of `group` is the number of these landmarks. `poses` `(6, K)` are the poses of all landmarks.
+    `members` are the indices of the landmarks that may move. `poses` `(6, K)` are the poses of all landmarks.
     """
     group[0] = k
     for m in range(1, len(group)):
@@ -167,9 +167,9 @@ def _may_hang(k: int, s: int, a: float, b: float, footprints: FootprintArrays) -
 
 @inner
 def pair_up(k: int, members: IntArray, footprints: FootprintArrays, rng: np.random.Generator, pair: IntArray) -> bool:
-    """Write landmark k and a landmark of another size among the `members` into `pair`, as indices.
+    """Write the indices of landmark k and of a random landmark of another size into `pair`.
 
-    Return False if there is no landmark of another size.
+    `members` are the indices of the landmarks that may move. Return True if one has another size than k.
     """
     start = int(rng.random() * len(members))
     for i in range(len(members)):

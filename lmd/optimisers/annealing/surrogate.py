@@ -77,9 +77,9 @@ class Surrogate:
         self._walkers: list[Walker]
 
     def _lay_out(self, evaluator: Evaluator, relevance: FloatArray) -> None:
-        """Set the incremental evaluator (field) of the walk, and the functions that compute the fitness (target).
+        """Set the incremental evaluator (field), and the functions that compute the fitness from its values (target).
 
-        The fitness is computed at the P positions of `evaluator`, which have the weights `relevance` `(P,)`.
+        Both use the P camera positions of `evaluator`, which have the weights `relevance` `(P,)` in the fitness.
         """
         objective = self._problem.objective
         self._true = field_of(objective, evaluator)
@@ -133,9 +133,9 @@ class Surrogate:
         return self._together(), first.places.deployment() if found else None
 
     def _prepare(self, here: Deployment, best: Deployment, conditions: Conditions, rng: np.random.Generator) -> Places:
-        """Prepare the walks, and return the places of the landmarks to which the walks must first move.
+        """Prepare the walks, and return the places of all landmarks at which the walks must begin.
 
-        The places are empty (`NOWHERE`) if the walks have these places already. If the objective is evaluated on random
+        `NOWHERE`, without places, is returned if the walks are there already. If the objective is evaluated on random
         samples, a new sample is drawn. The sample's size grows with the square of the completed fraction of the stage,
         because the gains of late moves are smaller than the error of a small sample.
         """
@@ -168,7 +168,7 @@ class Surrogate:
         return NOWHERE
 
     def _first_movable(self, in_stacks: bool) -> int:
-        """Return the index of the first landmark that may move: 0 with stacks, which contain no fixed landmarks."""
+        """Return the index of the first landmark after the fixed ones; 0 with stacks, which contain no fixed ones."""
         return 0 if in_stacks else self._problem.fixed_count
 
     def _shared_out(self, count: int, in_stacks: bool) -> tuple[int, int]:
@@ -208,9 +208,9 @@ class Surrogate:
         return FootprintArrays(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)
 
     def _slices(self, here: Deployment, first: int, number: int, rng: np.random.Generator) -> list[IntArray]:
-        """Divide the landmarks from index `first` on among `number` slices of the room, across a random direction.
+        """Cut the room into `number` slices perpendicular to a random direction; return the landmarks in each slice.
 
-        Return the indices of the landmarks in each slice.
+        Landmarks are returned as indices. Landmarks before index `first` are in no slice.
         """
         movable = np.arange(first, len(here))
         if number == 1:

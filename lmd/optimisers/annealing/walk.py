@@ -6,9 +6,10 @@ positions, weighted by their relevance, of
 
     1 / (1 + exp(-(P_n - thold_p - margin) / width)) + share * P_n.
 
-P_n is the value of a position: the probability that at least n landmarks are seen from it. thold_p is the threshold.
-margin, width and share are settings of the walk (`Settings`). The walk records the best deployment by the true
-objective.
+P_n is the value of a position: the probability that at least n landmarks are seen from there. The true objective counts
+positions with P_n >= thold_p. The first term is a smooth step of the given width, `margin` above this threshold. The
+second term gives credit far from the threshold, too. margin, width and share are settings of the walk (`Settings`). The
+walk records the best deployment by the true objective.
 
 Metropolis' rule accepts a move if its gain is positive, or else with a probability that falls with the loss. Most moves
 are rejected before their exact gain is computed. First an upper bound on the gain is computed from upper bounds on the
@@ -84,7 +85,8 @@ class Known(NamedTuple):
 def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) -> float:
     """Return the smoothed fitness after a tried move; the contribution of each position is put into `known.tried`.
 
-    `units` `(Q,)` are the values of Q positions after the move, as integers (multiples of a small unit).
+    `units` `(Q,)` has the objective's value at each position after the move, as an integer multiple of
+    1 / `PROBABILITY_ONE`.
     """
     accepted, terms, tried = known.units, known.terms, known.tried
     total = 0.0
@@ -101,7 +103,8 @@ def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) 
 def _keep_best(units: IntArray, here: Places, target: Any, best: Best) -> None:
     """Overwrite `best` with the deployment `here` if the fitness of `here` is higher.
 
-    `units` `(Q,)` are the values of Q positions for `here`, as integers (multiples of a small unit).
+    `units` `(Q,)` has the objective's value for `here` at each of Q positions, as an integer multiple of
+    1 / `PROBABILITY_ONE`.
     """
     fitness, places = total_fitness(target, units), best.places
     if fitness > best.fitness[0]:
@@ -165,9 +168,9 @@ def walk(
     Args:
         moves: length of the walk, counted in landmarks: a proposal for g landmarks counts g, also if it is rejected.
         places: poses and surfaces at the beginning of the walk; if empty, the walk begins with the `state` of `walker`.
-        walker: memory of the walk. The `scratches` have one layer for each landmark that a single move can change.
-        field: incremental evaluator, which updates the value of each position after a move, a `Field`.
-        target: functions that compute the fitness from the values, a `Target`.
+        walker: data that the walk keeps between calls.
+        field: incremental evaluator, a `Field`, which updates the objective's values at all positions after a move.
+        target: functions that compute the fitness from these values, a `Target`.
         room: surfaces of the room, and footprints of all landmarks.
         settings: settings of the moves and of the smoothed objective.
         rng: random generator for proposals and decisions.

@@ -6,17 +6,19 @@ to within 0.02. A tag is seen under five conditions:
 
 - The incidence angle is at most `incidence`.
 - The pitch is at least sqrt(pitch^2 + (blur sigma)^2), with the limits `pitch` and `blur` of the detector. The pitch is
-  the least image length of a module over all directions in the tag's plane. Here sigma^2 = psf_sigma^2 + (c / 4)^2 +
-  motion_blur^2 / 12. At the depth of the tag's centre, the circle of confusion of a thin lens has the diameter c.
+  the least image length of a module (cell of the tag's pattern) over all directions in the tag's plane. Here sigma^2 =
+  psf_sigma^2 + (c / 4)^2 + motion_blur^2 / 12. At the depth of the tag's centre, the circle of confusion of a thin lens
+  has the diameter c.
 - The square root of the image area is at least `edge` pixels.
 - The corners of the black square lie in the rectangular image, at least `margin` pixels from the border.
-- No footprint of another tag covers the centre or a corner of the black square. Footprints include the quiet zone.
+- No footprint of another tag covers the centre or a corner of the black square. The footprint of a tag is the black
+  square with the quiet zone around it.
 
 Let (u, v, w) be the tag's centre in the camera frame, and t, s the tag's unit vectors to the right and up. The Jacobian
 J maps metres in the plane of the tag to pixels. The column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) /
 w). The column for s has s_u, s_v and s_w in place of t_u, t_v and t_w. The smaller eigenvalue of J^T J is at least a
-number T if 2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0. Moreover |det J| = f_u f_v |n . d| / w^3, with the unit
-normal n of the tag and its offset d from the camera.
+number T if 2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0, with the Frobenius norm |J|. Moreover |det J| =
+f_u f_v |n . d| / w^3, with the unit normal n of the tag and its offset d from the camera.
 
 Each border of a pinhole image bounds a half-space in the camera frame, so the corner farthest out decides. With lens
 distortion, the centre and each corner are projected one by one and must lie within `Camera.widest_angle` of the axis,

@@ -101,7 +101,7 @@ def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArra
 
 
 def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray, per: FloatArray) -> BoolArray:
-    """Mask of the tags whose pitch and image area suffice.
+    """Mask of the tags whose pitch and image area suffice, in the shape of the arguments.
 
     `square` is |J|_F^2 and `determinant` is |det J|, with the Jacobian J of `lmd.sight.models.fiducial`. `per` is the
     reciprocal of the depth, 1 / metre.

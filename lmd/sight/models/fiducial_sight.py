@@ -36,7 +36,8 @@ from lmd.sight.obstacles import half_edge
 def footprint_hides(sight: Any, half: float, a: Vector, n: Vector, b: Vector, m: Vector) -> Any:
     """True if the footprint of tag A with normal n hides the centre or a corner of tag B with normal m.
 
-    `half` is half the edge length of B; `a` and `b` are the offsets of A and B from the camera, metres.
+    A footprint is a tag's square with its quiet zone. `half` is half the edge length of B; `a` and `b` are the offsets
+    of A and B from the camera, metres.
     """
     height, (t, u), (r, s) = -dot3(n, a), upright_axes(n, sight.level), upright_axes(m, sight.level)
     r, s = times3(half, r), times3(half, s)
@@ -59,7 +60,8 @@ def may_hide(
 
     The function returns False if all camera positions are in front of all footprints, and no corner of a tag is behind
     a footprint within the `horizon` (metres). `low` and `high` are opposite corners of a box around the camera
-    positions, metres; `landmarks` and `normals` are the tags' centres, metres, and unit normals, `(B, 3, K)` each.
+    positions, metres. `landmarks` and `normals` are the tags' centres, metres, and unit normals, `(B, 3, K)` each, of B
+    deployments.
     """
     return sight.reach >= 0.0 and _some_behind(
         low, high, landmarks, normals, float(np.max(sight.half)), sight.level, horizon
@@ -168,7 +170,10 @@ class FiducialSight(NamedTuple):
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "FiducialSight":
-        """See `SightModel.among`; footprints flush with the walls of a convex room do not hide each other."""
+        """See `SightModel.among`: a model without occlusion if no tag can hide another.
+
+        Tags flush with the walls of a convex room do not hide each other.
+        """
         return self if may_hide(self, self.horizon, low, high, landmarks, normals) else self.unhidden()
 
     def shrunk(self, size: float) -> "FiducialSight":

@@ -195,10 +195,11 @@ def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> 
 
 @overridable
 def _by_depth(lens: Any, pinholes: Any, offset: Vector, normal: Vector, slack: float) -> Any:
-    """Three bounds on the coverage of a tag: the results `reached`, `high` and `sure` of `criteria.from_position`.
+    """Bounds on the coverage of a tag: the results `reached`, `high` and `sure` of `criteria.from_position`.
 
-    The bounds are computed with the two pinhole models `pinholes`, which bound the pitch and the area of a tag seen
-    through the lens.
+    `reached` is False only if no orientation covers the tag. `high` is the greatest depth at which the tag may be
+    covered; up to the depth `sure`, a tag well in view is covered. The two models `pinholes` bound the pitch and the
+    area of a tag seen through the lens.
     """
     _, _, _, sure = from_position(pinholes[0], offset, normal, slack)
     reached, _, high, _ = from_position(pinholes[1], offset, normal, slack)

@@ -169,7 +169,10 @@ class Visibility(Checked):
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> BoolArray:
-        """See `Criteria.covered`: Cs_k = C^R C^FOV C^F C^O >= thold, the coverage caps S_k^C(p) (Definition 1)."""
+        """See `Criteria.covered`: True if C^R C^FOV C^F C^O >= thold.
+
+        For landmark k, the orientations with True are the coverage cap S_k^C(p) (Definition 1).
+        """
         met = self.verdicts(camera, position, axes, landmarks, normals)
         return np.asarray(np.logical_and.reduce(list(met.values())))
 
@@ -286,8 +289,9 @@ def faces_away(offset: FloatArray, distance: FloatArray, normals: FloatArray) ->
 def hidden_by_others(offset: FloatArray, visibility: Visibility) -> BoolArray:
     """Mask `(K,)` of the landmarks with another landmark within nu of the line of sight (Eq. occlusion2).
 
-    The paper's |s_j - p| sqrt(1 - cos^2) is the distance from s_j to the line through p and s_k. Here it is computed as
-    |d_j x d_k| / |d_k|, which stays accurate for nearly collinear landmarks.
+    The paper's |s_j - p| sqrt(1 - cos^2) is the distance from s_j to the line through p and s_k; cos belongs to the
+    angle between d_j and d_k. The distance is computed as |d_j x d_k| / |d_k|, which stays accurate for nearly
+    collinear landmarks.
 
     Args:
         offset: d = s - p, metres, `(K, 3)`.

@@ -42,8 +42,8 @@ def process(
     Args:
         pipeline: module whose `main` is called.
         arguments: arguments of the command line.
-        environment: environment variables of the job; packages that the server has imported may already have read the
-            server's variables.
+        environment: environment variables of the job. A package that reads variables when the server imports it has
+            read the server's variables instead.
         streams: descriptors that become the job's standard streams, keyed by the numbers 0, 1 and 2 of these streams.
         kept: further descriptors that stay open in the job.
     """

@@ -115,8 +115,8 @@ def sweep_folder(*, _root_: DictConfig) -> str:
 def job_folder(*, _root_: DictConfig) -> str:
     """Name of a job's folder within the sweep's folder.
 
-    Two jobs have equal names if they agree in all settings that affect results, and in the contents of files. The
-    values of all varied keys, even of `threads`, must also agree.
+    Two jobs have equal names if they agree in all settings that affect results, and in the contents of the files that
+    the settings name. The values of all varied keys, even of `threads`, must also agree.
     """
     folder = SweepFolder(_root_.hydra.sweep.dir)
     sweep, values = folder.load(), map(key_and_value, _root_.hydra.overrides.task)

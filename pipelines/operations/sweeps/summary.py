@@ -44,7 +44,7 @@ def outcomes(jobs: Iterable[tuple[JobFolder, Job]]) -> list[Outcome]:
 
 
 def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
-    """Write a table with a row for each job.
+    """Write a CSV table with a row for each job.
 
     The columns are the folder, the varied keys, the status, the metrics, the seconds, and the reason of a failure.
     """
@@ -73,10 +73,12 @@ def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
 
 
 def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
-    """Draw the results of the groups that contain finished searches.
+    """Draw the best fitness of each group of jobs, as the median over its finished searches.
+
+    The picture shows the fitness against the number of evaluations, and its final value against a varied key.
 
     Returns:
-        paths of the pictures; empty if no search has finished.
+        list with the path of the picture; empty if no search has finished.
     """
     from lmd.plot.charts import Searched, save_groups_figure
 

@@ -124,7 +124,7 @@ class MlflowTracker(NoTracker):
             print(f"warning: what the run has recorded is lost: {full}", file=sys.stderr)
 
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
-        """See `Tracker.settle`. The command `mlflow gc` removes the deleted runs for good."""
+        """See `Tracker.settle`; the command `mlflow gc` later erases the deleted attempts for good."""
         store, wanted = self.store, " and ".join(f"tags.`{key}` = '{value}'" for key, value in run.tags.items())
         with store.errors_reported():
             found = sorted(store.matching(wanted), key=lambda each: each.info.start_time)

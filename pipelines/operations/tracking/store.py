@@ -218,7 +218,7 @@ def is_of_store(error: Exception) -> bool:
 
 
 def first_line(error: Exception) -> str:
-    """First line of an error's message that states the cause."""
+    """Return the line of an error's message that states the cause; lines `(raised as a result of ...` are skipped."""
     lines = (str(error) or type(error).__name__).splitlines()
     return next((line for line in lines if not line.startswith("(raised as a result of")), lines[0])
 

@@ -46,8 +46,8 @@ class NoTracker:
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
         """True if the record of the run `run_id` can be continued.
 
-        The run must have the parameters `params`, be unfinished, have been recorded last in the folder `folder`, and
-        not have been continued by another run.
+        The run must be unfinished and have the parameters `params`. The newest process that recorded this run must have
+        written its files to `folder`; otherwise the run was already continued in another folder.
 
         Raises:
             InputError: the store cannot be used.
@@ -60,10 +60,10 @@ class NoTracker:
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
         """End the recorded attempts of one job, after the job's process has ended, and keep only the newest attempt.
 
-        The attempts are the runs that have the `tags` of `run`. An attempt whose status is still RUNNING, or that was
-        marked as failed because its process was gone, gets the `status` and the `reason`. Then all attempts except the
-        newest are deleted, and the newest gets the `files`. If there is no attempt, `run` itself is recorded unless the
-        status is FINISHED.
+        The attempts are the runs that have the `tags` of `run`. The `status` and the `reason` are given to two kinds of
+        attempts: those whose status is still RUNNING, and those marked as failed because their process had ended. Then
+        all attempts except the newest are deleted, and the newest gets the `files`. If there is no attempt, `run`
+        itself is recorded unless the status is FINISHED.
 
         Raises:
             InputError: the store cannot be used.

@@ -28,9 +28,10 @@ FIGURES = ("off_grid", "qualified_ratio", "localised_share", "evaluations", "wal
 
 
 def view_of(figures: Sequence[str] = ()) -> str:
-    """Settings of mlflow's page of runs that give a column to each of the metrics `figures`, as a text.
+    """Text of settings for mlflow's page of runs, with a column for each of the metrics `figures`.
 
-    If `figures` is empty or has a metric of deployments, the columns are the metrics of deployments and sweeps instead.
+    If `figures` is empty or has one of the metrics `FIGURES` of deployments, other columns are used: those metrics and
+    the metrics of sweeps.
     """
     if not figures or {*figures} & {*FIGURES}:
         figures = (FIGURES[0], "best/off_grid", "median/off_grid", *FIGURES[1:])
@@ -38,9 +39,9 @@ def view_of(figures: Sequence[str] = ()) -> str:
 
 
 def sweep_view(run_id: str, params: Sequence[str]) -> str:
-    """Settings of mlflow's page of runs that show the jobs of one sweep, as a text.
+    """Text of settings for mlflow's page of runs, which then shows the jobs of one sweep.
 
-    The charts show a band for each group of jobs. The sweep's own run is hidden, as its charts would come first.
+    The charts average the jobs of a group. The sweep's own run is hidden, as its charts would come first.
 
     Args:
         run_id: id of the sweep's own run, the parent of the jobs.
