@@ -211,7 +211,7 @@ def _hung(cfg: DictConfig, own: Own, study: str) -> "tuple[Problem, Deployment, 
     from lmd.localise.fixed_map import surveyed_covariance
 
     if len(own) > 1:
-        raise InputError(f"studies=[{study}] describes one deployment: leave deployments out.")
+        raise InputError(f"studies=[{study}] needs a single deployment: leave out the key deployments.")
     (alone,) = own.values()
     problem, path = build_problem(alone), alone.deployment.get("path")
     refuse_crowd(problem, study)

@@ -300,6 +300,6 @@ def test_a_command_refuses_what_does_not_fit_before_it_writes_anything(guides, t
     settings = [f"hydra.searchpath=[file://{tmp_path}]", "objective=bare", "hydra.run.dir=run"]
     done = call("optimise", cwd=tmp_path, settings=settings, folders=[tmp_path, guides])
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("error: Bare has no field to evaluate single moves; use a black-box optimiser")
+    assert done.stderr.startswith("error: Bare cannot evaluate moves of single landmarks; use a black-box optimiser")
     assert not (tmp_path / "outputs").exists()
     assert not list((tmp_path / "run").glob("*.*"))

@@ -197,7 +197,7 @@ def check_aliases(text: str) -> None:
     """Raise `ValueError` if a YAML text, after its aliases are expanded, has more values than characters."""
     root = yaml.compose(text, _Loader)
     if root is not None and (values := _values(root, {})) > len(text):
-        raise ValueError(f"its aliases stand for {values:.4g} values, more than its {len(text)} characters")
+        raise ValueError(f"its YAML aliases expand to {values:.4g} values, more than its {len(text)} characters")
 
 
 def _values(node: Any, known: dict[int, float]) -> float:

@@ -138,7 +138,7 @@ def sample_views(
             scene = _place(camera, tag, tile, pitches[part], tilts[part], rng)
             views.append(_detect(camera, tag, detector, scene, sigmas[part], ranges, patches, rng))
     if not views:
-        raise InputError(f"none of {count} views fits a tile of the {width} x {height} image.")
+        raise InputError(f"in all {count} views the tag is too large for a part of the {width} x {height} image.")
     return TagViews.concatenated(views)
 
 

@@ -229,7 +229,7 @@ def _free_sizes(problem: Problem, count: int) -> FloatArray:
     if not problem.scene.has_several_sizes:
         return np.full(count - problem.fixed_count, problem.sizes[0])
     if count != problem.count:
-        raise InputError(f"the number of landmarks of each size is known for {problem.count} landmarks, not {count}.")
+        raise InputError(f"tags have several sizes: how many of each is known for {problem.count}, not for {count}.")
     return problem.free_sizes
 
 

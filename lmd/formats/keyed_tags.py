@@ -80,7 +80,7 @@ class KeyedTags(Keyed):
     def __post_init__(self) -> None:
         axes_of(list(self.axes))
         if unknown := [name for name in self.at if name not in KNOWN]:
-            raise InputError(f"a tag map format names {unknown[0]!r} instead of one of {', '.join(KNOWN)}.")
+            raise InputError(f"a tag map format has the unknown key {unknown[0]!r}; the keys are {', '.join(KNOWN)}.")
 
     def read(self, file: File) -> Found:
         """Read the tags of a file.

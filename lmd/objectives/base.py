@@ -223,7 +223,7 @@ def incremental(objective: Objective) -> Incremental:
     if isinstance(objective, Incremental):
         return objective
     raise InputError(
-        f"{type(objective).__name__} has no field to evaluate single moves; use a black-box optimiser such as ega.",
+        f"{type(objective).__name__} cannot evaluate moves of single landmarks; use a black-box optimiser such as ega.",
         "objective",
     )
 

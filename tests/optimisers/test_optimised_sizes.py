@@ -177,11 +177,11 @@ def test_no_choice_exceeds_the_bound_of_a_selection(few):
         (lambda few: fewest_landmarks(few, 0.5, Search()), r"works with tags of one size, not with edges of"),
         (
             lambda few: average_upper_bound(few, 5, Search(2.0)),
-            r"^the number of landmarks of each size is known for 3 landmarks, not 5",
+            r"^tags have several sizes: how many of each is known for 3, not for 5",
         ),
         (
             lambda few: selection_upper_bound(few, 5, 2.0),
-            r"^the number of landmarks of each size is known for 3 landmarks, not 5\.$",
+            r"^tags have several sizes: how many of each is known for 3, not for 5\.$",
         ),
     ],
 )

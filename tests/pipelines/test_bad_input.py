@@ -83,7 +83,7 @@ CASES = [
     ("evaluate", f"{MEASURED} deployment.measured=none.csv", "deployment.measured: there is no file 'none.csv'."),
     ("evaluate", f"{MEASURED} deployment.measured=less.csv", "deployment.measured: less.csv lacks the landmark 2 that"),
     ("evaluate", "studies=[]", "studies must name at least one option of conf/studies"),
-    ("evaluate", f"studies=[uncertainty] {BOTH}", "studies=[uncertainty] describes one deployment"),
+    ("evaluate", f"studies=[uncertainty] {BOTH}", "studies=[uncertainty] needs a single deployment"),
     ("evaluate", "suite=tiny_mean room=lab", "suite=tiny_mean sets room.spacing itself: leave room.spacing out"),
     ("evaluate", "suite=nowhere", "nowhere"),
     ("evaluate", "room.keepout=[]", "room.keepout is not a known setting"),

@@ -159,7 +159,7 @@ def test_a_directory_that_is_no_run_gets_one_sentence(earlier):
         (b"a: [\n", "cannot be read ("),
         (b"\x80", "cannot be read as text ("),
         (b"[1]", "is not a configuration"),
-        (BOMB, "cannot be read (its aliases stand for"),
+        (BOMB, "cannot be read (its YAML aliases expand to"),
     ):
         (earlier / ".hydra" / "config.yaml").write_bytes(content)
         with pytest.raises(InputError, match=re.escape(f"run: '{earlier}/.hydra/config.yaml' {told}")):

@@ -108,7 +108,7 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, changes):
             "objective must be a mapping without a key 'defaults'",
         ),
         ("room: [1]", "room must be a mapping without a key 'defaults'"),
-        ("room: &a [*a]", "its aliases stand for inf values, more than its 13 characters"),
+        ("room: &a [*a]", "its YAML aliases expand to inf values, more than its 13 characters"),
         ("room: {size: &a [1], walls: *a}", "room.walls is a YAML alias"),
         ("room: {_target_: [[lmd]]}", "room._target_ must name"),
         ("room: {? [1, 2] : 3}", "cannot be read"),
