@@ -1,7 +1,7 @@
-"""Checks of configurations of other origin, which may name only trusted code.
+"""Checks of configurations from outside, which may name only trusted code.
 
-The checks are needed because Hydra imports and calls every `_target_`. A configuration is of other origin if it is
-neither part of this project nor on the command line. Examples are the configuration of `run=DIR`, configurations in a
+The checks are needed because Hydra imports and calls every `_target_`. A configuration is from outside if it is neither
+part of this project nor on the command line. Examples are the configuration of `run=DIR`, configurations in a
 tracking store, and the overrides of a resumed run. Such a configuration is read as plain data, and checked before any
 import. docs/trust.md lists the rights of each kind of file.
 """
@@ -32,7 +32,7 @@ MOST_CHARACTERS = 1_000_000
 
 @dataclass(frozen=True)
 class Trust:
-    """Code that the user trusts in configurations of other origin, such as the configuration of an earlier run."""
+    """Code that the user trusts in configurations from outside, such as the configuration of an earlier run."""
 
     names: tuple[str, ...] = ()
     """Names of packages and of single functions or classes that the user trusts."""
@@ -64,7 +64,9 @@ class Trust:
         return cls((*names, *packages), tuple(Path(path).resolve() for schema, path in places if schema == "file"))
 
     def parts(self, found: Mapping[Any, Any], source: str, groups: Sequence[str]) -> dict[str, dict[str, Any]]:
-        """Check the nodes of the config groups `groups` in a configuration of other origin, and return them by group.
+        """Check the nodes of config groups in a configuration from outside; return the nodes, keyed by group.
+
+        A configuration is from outside if it is neither part of this project nor on the command line.
 
         Args:
             found: configuration as plain data.
@@ -72,7 +74,8 @@ class Trust:
             groups: names of the groups; a group that the configuration lacks is left out.
 
         Raises:
-            InputError: a node names code that is not trusted, or is not a node.
+            InputError: a node names code that is not trusted, is not a mapping, or has a key or a reference that is not
+                allowed.
         """
         from lmd.core.checks import InputError, bounded
 
@@ -92,7 +95,9 @@ class Trust:
         return parts
 
     def check(self, source: str, key: str, value: Any) -> None:
-        """Check that a value of a configuration of other origin is plain data and names only trusted code.
+        """Check that a value of a configuration from outside is plain data and names only trusted code.
+
+        A configuration is from outside if it is neither part of this project nor on the command line.
 
         Args:
             source: name of the configuration's source, for error messages.

@@ -150,8 +150,10 @@ class Estimate:
         return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
 
     def _blocks(self, first: int, last: int, size: int = 6) -> FloatArray:
-        """Square blocks on the diagonal of `covariance`, `(n, size, size)`. The blocks cover the rows and columns from
-        6 `first` to 6 `last` (excluded).
+        """Square blocks on the diagonal of `covariance`, `(n, size, size)`, for a range of its rows and columns.
+
+        The range begins at row and column `6 * first`, and ends before row and column `6 * last`. `first` and `last`
+        are therefore indices of groups of six unknowns, such as the twist of a tag.
         """
         return diagonal_blocks(self.covariance[6 * first : 6 * last, 6 * first : 6 * last], size)
 

@@ -34,12 +34,15 @@ class Optics:
 
     @property
     def values(self) -> FloatArray:
-        """P intrinsics of the camera, followed by the two parameters of the shift of edges, `(P + 2,)`."""
+        """P intrinsics of the camera, followed by the parameters s_1 and s_2 in `shifts`, pixels, `(P + 2,)`.
+
+        The parameters s_1 and s_2 describe the shift by which blur and exposure move the edges of tags in images.
+        """
         return np.append(intrinsics_of(self.camera), self.shifts)
 
     def at(self, values: FloatArray) -> "Optics":
-        """Copy with other parameters. `values` `(P + 2,)` has the P intrinsics of the camera, followed by the two
-        parameters of the shift by which blur moves the edges of tags.
+        """Copy with other parameters. `values` `(P + 2,)` has the P intrinsics of the camera, followed by s_1 and s_2,
+        the parameters of the shift by which blur and exposure move the edges of tags in images, pixels.
 
         Raises:
             InputError: no camera has these intrinsics.

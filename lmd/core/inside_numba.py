@@ -129,7 +129,10 @@ class _Flags(Flags):
 
 
 class KernelCompiler(StrictCompiler):
-    """Compiler of kernels, which copies the code of inner functions only into the kernel, not into each other."""
+    """Compiler that puts into each kernel a copy of the code of all inner functions that the kernel calls.
+
+    An inner function gets no copies of the inner functions that it calls, so a kernel has each code only once.
+    """
 
     library: type[_Library] = _KernelLibrary
 

@@ -101,16 +101,18 @@ class Observer(Checked):
         return np.concatenate([gain * turning, gain * forces.sum(axis=-2)], axis=-1)
 
     def estimates(self, recording: Recording, start: FloatArray) -> FloatArray:
-        """Estimated poses Xh at every frame, corrected with the landmarks in view in the frame, `(S, T, 4, 4)`.
+        """Estimated poses Xh at each of T frames, camera to world, `(S, T, 4, 4)`.
 
         In a time step h, the measured twist U moves the estimate: Xh <- Xh exp(h U). Then the correction xi from the
-        landmarks of the new frame is applied: Xh <- Xh exp(h xi). Both updates are exact for a constant twist. The
-        origin is moved to the centroid of all K landmarks. The positions C_i in the right-invariant form are then
-        short, and the form converges faster.
+        landmarks in view in the new frame is applied: Xh <- Xh exp(h xi). Both updates are exact for a constant twist.
+
+        Inside this function, the origin is the centroid of all K landmarks. Therefore the positions C_i of the
+        landmarks are short, and the right-invariant form of the observer converges faster. The returned poses refer
+        to the world frame.
 
         Args:
             recording: S runs.
-            start: estimated poses Xh at the first frame, before the correction, `(S, 4, 4)`.
+            start: estimated poses Xh at the first frame, which are not corrected, `(S, 4, 4)`.
 
         Raises:
             InputError: the time between two frames is too long for the gains.

@@ -234,9 +234,12 @@ class HungMap:
     def _fewest(self, slopes: FloatArray, noise: FloatArray) -> list[int]:
         """Choose stations greedily: each step adds the candidate that most raises the sum of all tags' scores.
 
-        Scores are those of `_reached`; in the sum, a score above 1 counts as 1. `slopes` and `noise` are the
-        candidates' matrices A_s `(S, 3, 6 K)` and N_s `(S, 3, 3)`, see `views`. Returns the indices of the chosen
-        candidates.
+        The function `_reached` gives the scores. A score of 1 is the goal: the tag's test then has the required power.
+        In the sum, a score above 1 counts as 1. The choice ends when no candidate raises the sum by `LEAST_GAIN` or
+        more.
+
+        `slopes` and `noise` are the candidates' matrices A_s `(S, 3, 6 K)` and N_s `(S, 3, 3)`, see `views`. Returns
+        the indices of the chosen candidates.
         """
         chosen, reached, total = list[int](), 0.0, np.zeros_like(self.spread)
         while True:
@@ -260,11 +263,12 @@ class HungMap:
                 the ids of the tags that were read. Other columns are ignored.
 
         Returns:
-            files: tables and figures, keyed by the name of their file. `acceptance.csv` has a row for each station:
-                name, zone, position error and its bound (m), `chi_square` and its `limit`, `passed`.
-                `acceptance_zones.csv` has the number of stations, mean and largest error (m), `passed`.
-                `acceptance_tags.csv` has the estimated shift of each tag to the `right` and `up` in its plane (m), and
-                the statistic T of its test (`ratio`). Tags whose shift may explain the differences are `named`.
+            files: three tables and the metrics, keyed by the name of their file. `acceptance.csv` has a row for each
+                station: name, zone, position error and its bound (m), `chi_square` and its `limit`, `passed`.
+                `acceptance_zones.csv` has a row for each zone: name, number of stations, mean and largest error (m),
+                `passed`. `acceptance_tags.csv` has a row for each tag: the estimated shift to the `right` and `up` in
+                the tag's plane (m), and the statistic T of its test (`ratio`). The column `named` is True for tags
+                whose shift may explain the differences.
             figures: metrics, with `passed` as 0 or 1.
             text: text for a terminal.
 

@@ -26,8 +26,9 @@ smoothed min(v, 1) at an x with a large F(x), which is found by accelerated proj
 While x is improved, the largest g_j is sought over a grid of poses; at the end it is sought over the whole walls, by
 branch and bound on cells (`lmd.sight.poses`). So the bound holds for every flush deployment.
 
-Fixed landmarks are not chosen, and K is the number of free landmarks. Without occlusion b_pa fixed landmarks are
-covered at p and a. Then c_pa = b_pa + sum_j x_j A_jpa adds sum_pa y_pa b_pa to the constant.
+Fixed landmarks are not chosen, and K is the number of free landmarks. Let b_pa be the number of fixed landmarks that
+are covered at position p and axis a, without occlusion. Then c_pa = b_pa + sum_j x_j A_jpa adds sum_pa y_pa b_pa to the
+constant.
 
 With K_s tags of size s, of which x_js are at pose j, each size has its own A^s_jpa and g_js. K max_j g_j becomes sum_s
 K_s max_j g_js; each maximum is sought where a tag of that size may hang.
@@ -37,9 +38,9 @@ A localised view covers n landmarks, so the bounds also hold for `Localisation`,
 A second upper bound follows from submodularity. This bound holds for landmarks chosen from a grid of poses, and is
 compared with the value of the greedy choice.
 
-Greedy selection maximises f, the `selection` of an objective, which is monotone and submodular in the landmarks without
-occlusion. The gain of a landmark at a set S of landmarks is the increase of f if the landmark is added to S. For *any*
-set S the best K poses of a grid, each taken once, reach at most
+Greedy selection maximises a surrogate f of the objective, see `lmd.objectives.base.Selectable`. Without occlusion, f is
+monotone and submodular in the landmarks. The gain of a landmark at a set S of landmarks is the increase of f if the
+landmark is added to S. For *any* set S the best K poses of a grid, each taken once, reach at most
 
     f(S) + the sum of the K largest gains at S.        (Nemhauser, Wolsey and Fisher 1978)
 
@@ -49,9 +50,9 @@ the views from which it is hidden, and more landmarks never lower f, so the boun
 
 This bound is valid only for poses of the grid, and for the surrogate f instead of the objective itself.
 
-With K_s tags of size s, a candidate is a pose with a size. For each size s, the gains at S of the landmarks in the best
-choice add up to at most the sum of the K_s largest gains of that size. The greedy choice always reaches half of the
-best value (Fisher, Nemhauser and Wolsey 1978, for a partition matroid).
+With K_s tags of size s, a candidate is a pose with a size. The best choice has K_s landmarks of each size s. The gains
+at S of these landmarks add up to at most the sum of the K_s largest gains of that size. The greedy choice always
+reaches half of the best value (Fisher, Nemhauser and Wolsey 1978, for a partition matroid).
 """
 
 import math

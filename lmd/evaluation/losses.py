@@ -102,8 +102,10 @@ class Losses:
 
 
 def _listed(tags: Iterable[tuple[int, float]]) -> str:
-    """Text that lists the first `TAGS_LISTED` of `tags`, pairs of an id and a fraction, which is given in per cent;
-    `none` if there is no tag.
+    """Text that lists the first `TAGS_LISTED` of `tags`, such as `7 (12.30), 4 (0.85)`; `none` if there is no tag.
+
+    `tags` are pairs: the id of a tag, and a fraction, such as a loss of fitness. The text gives the fraction in per
+    cent.
     """
     return ", ".join(f"{number} ({100.0 * each:.2f})" for number, each in islice(tags, TAGS_LISTED)) or "none"
 

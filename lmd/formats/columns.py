@@ -76,7 +76,10 @@ VOCABULARY = {
 
 
 class Layout(NamedTuple):
-    """Columns of a text file in their order, and properties of the program that writes such files."""
+    """Columns of a text file in their order, and conventions of the program that writes such files.
+
+    The conventions concern missing and further values in a line, the first line, and the directions of a tag's axes.
+    """
 
     name: str
     """Name of the program, as in the argument `columns`; empty if a file or the user names the columns."""

@@ -216,8 +216,12 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
 def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
     """Frame of the orientations, `optical` or `body`, and a note for the user, from ROS's column `child_frame_id`.
 
-    The frame is None if the column is missing or has another name. `frame` is the frame that the user states; a
-    contradiction raises `InputError`. Source: REP 103, REP 105.
+    The column holds the name of a frame, such as `base_link`. The frame is None if the column is missing, holds
+    different names, or holds a name that is neither an optical frame's nor a body's. `frame` is the frame that the user
+    states. Source: REP 103, REP 105.
+
+    Raises:
+        InputError: the user states `body`, but the column names an optical frame.
     """
     found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
     name = found.pop() if len(found) == 1 else ""

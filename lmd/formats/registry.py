@@ -243,9 +243,10 @@ def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
 
 
 def _tests(row: dict[str, Any]) -> list[Callable[[Any], bool]]:
-    """Make the tests of a format, functions of a file, from the keys of its row that `described` explains.
+    """Make the tests that recognise files of a format; each test is a function that returns True or False for a `File`.
 
-    The keys of the tests are removed from `row`.
+    `row` is the description of the format: the keys and values that `described` explains. The keys of the tests, such
+    as `head` and `ends`, are removed from `row`.
     """
     tests: list[Callable[[Any], bool]] = [anything] if row.pop("any", False) else []
     if call := row.pop("when", None):

@@ -176,14 +176,17 @@ class CoverageField(NamedTuple):
 
     @property
     def stack(self) -> int:
-        """Number of landmarks in a stack, see `Stacking.stack`; 0 for tags of several sizes, which form no stacks."""
+        """Number of landmarks in a stack (group of coincident landmarks); 0 for tags of several sizes, which form none.
+
+        See `Stacking.stack`.
+        """
         return self.n if all(np.ndim(half_edge(sight)) == 0 for sight in self.cameras.sights) else 0
 
     def stacked(self, fixed: Deployment | None) -> "CoverageField":
-        """Field in which each landmark represents a stack of n landmarks at one place, see `Stacking.stacked`.
+        """Field (incremental evaluator) in which each landmark represents a stack of n coincident landmarks.
 
-        Stacked landmarks do not hide each other, so n becomes 1. An orientation that covers n of the `fixed` landmarks
-        counts as an orientation that covers one stack.
+        See `Stacking.stacked`. Stacked landmarks do not hide each other, so n becomes 1. An orientation that covers n
+        of the `fixed` landmarks counts as an orientation that covers one stack.
         """
         counted_once = self.counted_once
         if fixed is not None:

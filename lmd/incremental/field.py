@@ -39,13 +39,13 @@ class Field(Protocol):
 
     @property
     def size(self) -> int:
-        """Number Q of positions of the field. Q is at least the number P of the evaluator's positions, because the
-        field may contain copies of positions.
+        """Number Q of positions of the field (incremental evaluator). Q is at least the number P of the `Evaluator`'s
+        positions, because the field may contain copies of positions.
         """
 
     @property
     def index_of(self) -> Any:
-        """Index of each position of the evaluator among the positions of the field, `(P,)`."""
+        """Index, in the field (incremental evaluator), of each of the `Evaluator`'s P positions, `(P,)`."""
 
     def state(self, deployment: Deployment) -> Any:
         """New state: the arrays that change with the landmarks, filled for a deployment."""
@@ -56,33 +56,43 @@ class Field(Protocol):
 
 @runtime_checkable
 class Stacking(Protocol):
-    """Interface of fields with stacks: groups of coincident landmarks that move as one and do not hide each other."""
+    """Interface of fields (incremental evaluators) that can move stacks of landmarks.
+
+    A stack is a group of coincident landmarks that move as one and do not hide each other.
+    """
 
     @property
     def stack(self) -> int:
-        """Number of landmarks in a stack."""
+        """Number of landmarks in a stack, a group of coincident landmarks that move as one."""
 
     def stacked(self, fixed: Deployment | None) -> Field:
-        """Field in which each landmark of a state represents a stack of `stack` landmarks at one place. The landmarks
-        in `fixed`, which do not move, are seen in addition to the stacks.
+        """Field (incremental evaluator) that moves stacks: groups of coincident landmarks.
+
+        Each landmark in a state of this field represents a stack. The attribute `stack` is the number of landmarks in a
+        stack. The landmarks in `fixed`, which do not move, are seen in addition to the stacks.
         """
 
     def shrunk(self, size: float) -> Field:
-        """Field in which each landmark hides less: the part that blocks the view is scaled by the factor `size`.
+        """Field (incremental evaluator) in which landmarks hide less than they really do.
 
-        Optimisers use it to separate the landmarks of a stack.
+        The part of a landmark that blocks the view is scaled by the factor `size`. Optimisers use this field to
+        separate the landmarks of a stack (group of coincident landmarks).
         """
 
 
 def stack_of(field: Field) -> int:
-    """Number of landmarks in a stack; 0 for a field without stacks."""
+    """Number of landmarks in a stack (group of coincident landmarks that move as one); 0 if the field has no stacks.
+
+    A field is the incremental evaluator of an objective.
+    """
     return field.stack if isinstance(field, Stacking) else 0
 
 
 def runner(field: Field, function: Any) -> Callable[..., Any]:
-    """Return the function with which Python calls a field: the kernel (compiled function) `function`.
+    """Return the version of a kernel (compiled function) to which Python code can pass the given field.
 
-    For a field that is not a named tuple, the plain Python version of the kernel is returned.
+    A field is the incremental evaluator of an objective. If the field is a named tuple, the version is the kernel
+    `function` itself. Otherwise the version is the plain Python code of `function`.
     """
     chosen: Callable[..., Any] = function if isinstance(field, tuple) else getattr(function, "py_func", function)
     return chosen
@@ -232,14 +242,14 @@ def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> N
 def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: Any, units: Any) -> None:
     """Execute a list of steps of moves one after the other.
 
-    Python calls a field only through this kernel, because each further kernel would be compiled for every class of
-    field, which takes long.
+    Python code calls a field (incremental evaluator) only through this kernel. Each further kernel would be compiled
+    for every class of field, which takes long.
 
     Args:
         steps: `(S, 4)` int64. The columns are the kind of step (`BOUND`, `SETTLE`, `ACCEPT` or `UNDO`), and the indices
             of the landmark, of the surface and of the scratch.
         poses: `(S, 6)` new position (metres) and unit normal of the landmark, used by `BOUND` only.
-        field, state: field and state of the landmarks.
+        field, state: incremental evaluator, and the arrays that change with the landmarks.
         scratches: several scratches as one array structure, made by `layers`.
         units: `(S, Q)` int64, receives the quantised values after each step: those of the scratch after `BOUND` and
             `SETTLE`, else those of the state. With the shape `(0, 0)`, no values are written.
@@ -272,9 +282,10 @@ def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
 
 
 def in_order(field: Field, relevance: FloatArray) -> FloatArray:
-    """Weights of the field's Q positions, `(Q,)`, from the weights `relevance` `(P,)` of the evaluator's positions.
+    """Convert the weights of the `Evaluator`'s P positions to weights of the Q positions of a field, `(Q,)`.
 
-    The result has the order of the field's positions and the sum 1.
+    A field is the incremental evaluator of an objective. `relevance` `(P,)` are the weights of the `Evaluator`'s
+    positions. The result has the order of the field's positions and the sum 1.
     """
     ordered = np.zeros(field.size)
     ordered[field.index_of] = relevance / relevance.sum()

@@ -144,9 +144,10 @@ def find_offsets(place: Vector, poses: FloatArray, horizon: float, others: np.nd
 
 @inlined
 def near_line(start: Any, middle: Vector, sides: Vector, radius: float, offsets: FloatArray) -> Any:
-    """Find which of `LANES` landmarks may hide a place, or be hidden by a landmark there, from a block of positions.
+    """Test `LANES` landmarks for occlusion by, or of, a landmark at a given place, as seen from a block of positions.
 
-    The test is the first stage of the search, see the module.
+    A landmark that fails the test neither hides the place nor is hidden by a landmark there, from any position of the
+    block. The test is the first stage of the search, see the module.
 
     Args:
         start: column of `offsets` with the first of the landmarks.
@@ -156,8 +157,7 @@ def near_line(start: Any, middle: Vector, sides: Vector, radius: float, offsets:
         offsets: array filled by `find_offsets`.
 
     Returns:
-        bit set: bit j for the landmark in column `start + j`. A landmark outside the set neither hides the place nor is
-            hidden, from any position of the block.
+        bit set of the landmarks that pass the test; bit j stands for the landmark in column `start + j`.
     """
     (mx, my, mz), (hx, hy, hz) = middle, sides
     far = math.sqrt(dot3(middle, middle)) + math.sqrt(dot3(sides, sides))

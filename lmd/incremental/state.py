@@ -65,9 +65,10 @@ def enough_with(p: Integer, w: Integer, was: Any, now: Any, counts: Any) -> Any:
 
 @inlined
 def update_counts(p: Integer, w: Integer, changed: Any, decrement: Any, n: Integer, counts: Any) -> None:
-    """Update the counts of covered landmarks at position p, for the orientations `changed` of word w (64 orientations).
+    """Update the counts of covered landmarks at position p, for the orientations in the bit set `changed`.
 
-    With each of these orientations, 1 is subtracted if it is in the bit set `decrement`, otherwise 1 is added.
+    The count for an orientation decreases by 1 if the orientation is in the bit set `decrement`, otherwise it increases
+    by 1. Both sets are limited to word w (64 orientations).
     """
     digits, one, two = counts.digits, ALL, ALL
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]

@@ -122,12 +122,13 @@ def list_changing(state: Any, k: Integer, scratch: Any) -> Any:
 
 @dispatched
 def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
-    """Swap the bit sets of the orientations that cover landmark k at position p between state and scratch.
+    """Swap two bit sets of orientations that cover landmark k, one in the state and one in the scratch.
 
-    Only word w (64 orientations) of the sets is swapped.
+    The sets belong to the old and to the new place of landmark k, as seen from position p. Only word w (64
+    orientations) of each set is swapped.
 
     Returns:
-        bit sets of the orientations with which landmark k is seen before and after the swap.
+        two bit sets: the orientations with which landmark k is seen from position p, before and after the swap.
     """
 
 

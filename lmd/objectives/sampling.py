@@ -74,9 +74,12 @@ class Sampling(Checked):
 def _states(crowd: CrowdStates, repeats: int, cells: int, rng: np.random.Generator) -> IntArray:
     """Index of the crowd state (arrangement of people) at each position of `jittered_grid`, `(repeats cells,)`.
 
-    If the fitness is the mean over all states, the states alternate over the positions of a cell, and over the cells.
-    If it is the mean over the worst states, all used states have equally many positions in every cell. With fewer
-    positions in a cell than states, a random choice of states is used.
+    Each of the grid's cells has `repeats` positions. If the fitness is the mean over all states, successive positions
+    of a cell have successive states. The state of a cell's first position is random; each state comes first in about
+    equally many cells.
+
+    If the fitness is the mean over the worst states, each state has equally many positions in every cell. If there are
+    more states than positions in a cell, only a random choice of `repeats` states is used.
     """
     count = len(crowd)
     if crowd.crowd.fitness == "mean":

@@ -18,7 +18,7 @@ The program is:
 
 Views of a position that see the same set of poses share one constraint and one y, with the sum of their `w_a`.
 Occlusion only reduces the numbers of landmarks seen, so an upper bound on the program also holds with occlusion. The
-chosen deployment is evaluated with occlusion, after landmarks that share a pose are separated.
+chosen deployment is evaluated with occlusion, after landmarks that share a pose are moved apart.
 """
 
 import operator
@@ -101,7 +101,8 @@ def per_pose(problem: Problem) -> int:
 def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
     """Make the deployment with `taken[j]` landmarks at the j-th of J poses; fixed landmarks come first.
 
-    Landmarks that are points and share a pose are separated; tags are put in the order of the problem's sizes.
+    Point landmarks that share a pose are moved apart, onto a small circle around the pose. If the poses have edge
+    lengths, the tags are in the order of their edge lengths in `problem.free_sizes`.
     """
     if poses.has_own_edges:
         sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)

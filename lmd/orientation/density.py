@@ -254,9 +254,9 @@ def independence_test(samples: Samples, significance: float, rng: np.random.Gene
     """Test by Pearson's chi-squared statistic that yaw and pitch are independent.
 
     The statistic is computed from a contingency table, which has the numbers of samples in bins of yaw (rows) and bins
-    of pitch (columns). Bins have about equal numbers of samples. Random tables with equal row and column sums are
-    drawn. The p-value is the fraction of tables whose statistic is at least that of the samples. The p-value is
-    therefore valid for few samples, too.
+    of pitch (columns). Bins have about equal numbers of samples. Random tables are drawn whose row and column sums
+    equal those of the samples' table. The p-value is the fraction of tables, the samples' table included, whose
+    statistic is at least that of the samples' table. The p-value is therefore valid for few samples, too.
 
     The test assumes independent samples. If samples were closer in time than the correlation time of the recording, the
     test would reject too often.

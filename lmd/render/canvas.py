@@ -142,9 +142,10 @@ class Canvas:
         part += inside[..., 1] * (black - part) + contrast * inside[..., 0]
 
     def _window(self, outline: FloatArray, margin: int) -> tuple[int, int, int, int] | None:
-        """Bounding box (x, y, width, height) of an outline, enlarged by `margin`; all in pixels.
+        """Bounding box (x, y, width, height) of an outline, enlarged by `margin` on each side; all in pixels.
 
-        The box may reach beyond the image by `margin`. The result is None if the box is outside the image.
+        The box is clipped to the image, which is also enlarged by `margin` on each side. The result is None if the box
+        does not overlap the image, or if the outline is empty.
         """
         if not len(outline):
             return None

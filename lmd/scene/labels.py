@@ -170,9 +170,10 @@ class Surveyed:
 def in_plane(
     path: str | Path, ids: IntArray, normals: FloatArray, upright: FloatArray, ups: FloatArray
 ) -> FloatArray | None:
-    """Project the up vectors of a file to the planes of their tags; None if all tags are upright.
+    """Correct small errors of the up vectors in a file: project each vector to the plane of its tag, with length 1.
 
-    A tag whose up vector differs by at most `UP_TOLERANCE` from `upright` gets the up vector of `upright`.
+    An error is small if the length and the component along the tag's normal are wrong by at most `IN_PLANE`. A tag
+    whose up vector differs by at most `UP_TOLERANCE` from `upright` gets the up vector of `upright`.
 
     Args:
         path: file, for messages.
@@ -182,10 +183,10 @@ def in_plane(
         ups: up vectors of the file, `(K, 3)`.
 
     Returns:
-        unit up vectors, `(K, 3)`, or None.
+        unit up vectors in the planes of the tags, `(K, 3)`; None if all tags are upright.
 
     Raises:
-        InputError: an up vector is not a unit vector in the plane of its tag.
+        InputError: the error of an up vector exceeds `IN_PLANE`.
     """
     leaning = (ups * normals).sum(axis=1, keepdims=True)
     off = np.maximum(np.abs(leaning[:, 0]), np.abs(np.linalg.norm(ups, axis=1) - 1.0))

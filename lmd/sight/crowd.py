@@ -69,7 +69,8 @@ class CrowdEnds(NamedTuple):
 def obstacles_of(scene: Scene, positions: FloatArray, states: IntArray | None) -> Any:
     """Obstacles of a scene as arrays, for compiled tests of lines from cameras at `positions` `(P, 3)`, metres.
 
-    `states` `(P,)` has the crowd state at each position; it may be None for a scene without a crowd.
+    `states` `(P,)` has the index of the crowd state (arrangement of people) at each position. The argument may be None
+    for a scene without a crowd.
     """
     room = obstacles_at(scene.room.blockers(), positions)
     if scene.crowd is None:

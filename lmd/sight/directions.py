@@ -10,9 +10,10 @@ The border is that of the field of view. Only axes that are possible but not cer
 is sure to cover the landmark only if the landmark's depth is in the range `low` to `sure`, which
 `criteria.from_position` returns.
 
-For one pass over many landmarks the tables are too large. Axes are then sorted by height (their z coordinate). The axes
-that cover a landmark lie in a cone around its direction. So the lowest and the highest point of the cone bound the axes
-that need the exact test to one contiguous band.
+The tables are too large for functions that pass over many landmarks only once. Such functions use a list of the axes,
+sorted by height (their z coordinate). The axes that cover a landmark lie in a cone around its direction. Only axes with
+heights between the lowest and the highest point of the cone need the exact test. These axes form one contiguous band of
+the list.
 
 A cell is the projection of a parallelogram or of two triangles, so a spherical cap that contains its corners contains
 the cell. Let rho be the greatest angle between the cell's centre and a corner. If the centre is at least rho inside the

@@ -187,7 +187,7 @@ def seen_from(
     """Mask `(N, K)` of the landmarks that a camera covers from N poses.
 
     `poses` are positions, metres, `(N, 3)`, and axes `(N, 6)`: optical axis and direction to the right in the image.
-    With a crowd, `states` `(N,)` has the crowd state for each pose.
+    With a crowd, `states` `(N,)` has the index of the crowd state (arrangement of people) at each pose.
     """
     positions, axes = poses
     seen = np.empty((len(positions), len(deployment)), dtype=np.bool_)

@@ -74,7 +74,8 @@ def visible_to_each(
 ) -> BoolArray:
     """Mask of the landmarks that each of the C cameras of the scene covers from each pose, `(C, N, K)`.
 
-    With a crowd, `states` `(N,)` has the crowd state in each pose. Other arguments as in `visible`.
+    With a crowd, `states` `(N,)` has the index of the crowd state (arrangement of people) at each pose. Other arguments
+    as in `visible`.
     """
     evaluator = evaluator.sized(deployment.edges)
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
@@ -96,7 +97,12 @@ def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses:
 def _visible(
     scene: Scene, camera: Camera, deployment: Deployment, poses: Views, states: IntArray | None = None
 ) -> BoolArray:
-    """Mask of the landmarks covered by one camera, `(N, K)`; poses are positions `(N, 3)` and axes `(N, 6)`."""
+    """Mask of the landmarks that one camera covers from each of N poses, `(N, K)`.
+
+    `poses` is a pair: the positions, metres, `(N, 3)`; and the axes `(N, 6)`. The axes are the optical axis and the
+    direction to the right in the image, unit vectors in the world frame. `states` `(N,)` has the index of the crowd
+    state (arrangement of people) at each pose; None for a scene without a crowd.
+    """
     scene.check_count(len(deployment))
     if states is None:
         scene.check_no_crowd("a view from single poses")

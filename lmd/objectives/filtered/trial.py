@@ -71,8 +71,10 @@ def _store(lane: Integer, f: Integer, field: Any, scratch: Any) -> None:
 
 @inlined
 def _begin_drive(lane: Integer, d: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Put drive d into a lane of the filter, from the drive's first changed frame on. The filter starts from the
-    covariance of the frame before, or from the drive's initial covariance.
+    """Put drive d into a lane of the filter, which filters several drives in parallel, one in each lane.
+
+    The filter starts at the drive's first frame that the trial move changes, with the covariance of the frame before.
+    If this frame is the first frame of the drive, the filter starts with the initial covariance `field.start`.
     """
     work, f = scratch.lanes, scratch.starts[d]
     work.frames[0, lane], work.frames[1, lane] = f, field.first[d + 1]
@@ -83,8 +85,10 @@ def _begin_drive(lane: Integer, d: Integer, field: Any, state: Any, scratch: Any
 
 @inner
 def _filter(field: Any, state: Any, scratch: Any) -> None:
-    """Filter the drives with changed frames again, from the first changed frame on. Several drives are filtered at
-    once, each in a lane; a lane at the end of its drive takes the next drive.
+    """Filter each drive with frames that the trial move changes, from the first changed frame to the end of the drive.
+
+    Several drives are filtered in parallel, each in a lane; a lane at the end of its drive takes the next drive. The
+    covariances and the quantised values of the frames are written to the scratch.
     """
     work, first, starts, d, drives = scratch.lanes, field.first, scratch.starts, 0, len(field.first) - 1
     frames = work.frames

@@ -144,8 +144,8 @@ def _add(
 ) -> None:
     """Add the information of a landmark, times `sign`, to the state's information of several views from position p.
 
-    The views are the orientations `seen`, bits of word w (64 orientations). `moments` are the landmark's
-    `information.moments` for p, `pose` its position and normal.
+    The bit set `seen` has the orientations of these views, among the 64 orientations of word w. `moments` are the
+    landmark's `information.moments` for position p; `pose` is the landmark's position and normal.
     """
     look = field.coverage.cameras.sight, field.coverage.cameras.axes
     add_to_sums(moments, seen, _offset(pose, p, field), look, w, sign, first_row(p, w, state), state.sums)

@@ -38,8 +38,8 @@ class ViewValues(NamedTuple):
     localised: IntArray
     """`(B, P)` quantised L, the probability of a localised view, of each deployment at each position."""
     variances: FloatArray
-    """`(B, P, D)` variance of the camera's position in each view, in units of `deviation_per_variance` squared; empty
-    unless `keep` was set.
+    """`(B, P, D)` variance of the camera's position in each view, divided by the square of `deviation_per_variance`;
+    empty unless `keep` was set.
 
     The variance is infinite for views that cover fewer than n landmarks, leave the pose undetermined, or are ambiguous
     (if `Precision.residual` is not None).

@@ -76,8 +76,8 @@ Square: TypeAlias = tuple[Vector, Vector, Vector]
 
 
 class Precision(NamedTuple):
-    """Limits that a localised view must satisfy. Variances are traces of covariances, in units of
-    `deviation_per_variance` squared.
+    """Limits that a localised view must satisfy. Variances are traces of covariances, divided by the square of the
+    ratio that `deviation_per_variance` returns.
 
     For a limit that is None, kernels are compiled without the test.
     """
@@ -226,9 +226,11 @@ def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> t
 
 @inlined
 def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the camera's position in view v, in units of `deviation_per_variance` squared.
+    """Variance of the camera's position in view v, divided by (sigma / f)^2; and a flag.
 
-    Number j of the view's information is `sums[v + j * step]`. The second result is False if the variance is infinite.
+    The variance is the trace of the covariance, m^2. The ratio sigma / f of a corner's noise to the focal length is
+    the result of `deviation_per_variance`. The flag is False if the variance is infinite; the first result then has no
+    meaning. Number j of the view's information is `sums[v + j * step]`.
     """
     det, minors, rest, trace = _schur(sums, v, step, 0, 9)
     return inverse_trace(det, minors, rest, trace)
@@ -236,9 +238,11 @@ def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
 
 @inlined
 def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the camera's rotation in view v, in units of `deviation_per_variance` squared.
+    """Variance of the camera's rotation in view v, divided by (sigma / f)^2; and a flag.
 
-    Arguments and second result as in `variance`.
+    The variance is the trace of the covariance, rad^2. The ratio sigma / f of a corner's noise to the focal length is
+    the result of `deviation_per_variance`. The flag is False if the variance is infinite; the first result then has no
+    meaning. Number j of the view's information is `sums[v + j * step]`.
     """
     det, minors, rest, trace = _schur(sums, v, step, 9, 0)
     return inverse_trace(det, minors, rest, trace)
@@ -328,9 +332,11 @@ def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Numbe
 
 @inlined
 def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the position of a rig's body in view v, in units of `deviation_per_variance` squared.
+    """Variance of the position of a rig's body in view v, divided by (sigma / f)^2; and a flag.
 
-    Number j of the view's information is `sums[v + j * step]`. The second result is False if the variance is infinite.
+    The variance is the trace of the covariance, m^2. The ratio sigma / f of a corner's noise to the focal length is
+    the result of `deviation_per_variance`. The flag is False if the variance is infinite; the first result then has no
+    meaning. Number j of the view's information is `sums[v + j * step]`.
     """
     det, minors, rest, trace = _position_schur(sums, v, step)
     return inverse_trace(det, minors, rest, trace)
@@ -338,9 +344,11 @@ def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]
 
 @inlined
 def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the rotation of a rig's body in view v, in units of `deviation_per_variance` squared.
+    """Variance of the rotation of a rig's body in view v, divided by (sigma / f)^2; and a flag.
 
-    Arguments and second result as in `body_variance`.
+    The variance is the trace of the covariance, rad^2. The ratio sigma / f of a corner's noise to the focal length is
+    the result of `deviation_per_variance`. The flag is False if the variance is infinite; the first result then has no
+    meaning. Number j of the view's information is `sums[v + j * step]`.
     """
     x, far = v + 6 * step, 3 * step
     columns = read3(sums, x, far), read3(sums, x + step, far), read3(sums, x + 2 * step, far)

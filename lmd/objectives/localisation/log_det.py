@@ -66,8 +66,8 @@ def log_det_selection(
         relevance: weights of the positions, `(P,)`.
         precision: function that returns the `information.Precision` for a scene, which includes the size of the scene's
             tags.
-        prior: information before the image, along each axis: a number for the position and a number for the rotation,
-            each the inverse of a variance in the units of `information`.
+        prior: information before the image, along each axis: a number for the position and a number for the rotation.
+            Each number is the square of `information.deviation_per_variance`, divided by a variance (m^2 or rad^2).
     """
     kind: type[LogDeterminant] = RigLogDeterminant if evaluator.groups else CameraLogDeterminant
     if evaluator.by_reference:
@@ -149,7 +149,7 @@ def _gains(
         start, stop: range of the poses.
         points, normals: positions, metres, and unit normals of the poses, `(N, 3)`.
         prices: weight of each view (position and axis) in the mean, relevance times probability, `(P, D)`.
-        parts: tuple of the arguments listed next (`positions` to `known`), in this order.
+        parts: tuple of eight values, which the next entries (`positions` to `known`) describe in this order.
         positions: positions of the camera, metres, `(P, 3)`.
         sight, obstacles, axes, bands: see `kernels.evaluate_range`.
         precision: size of the tags, and weight of their corners.
@@ -178,10 +178,13 @@ def _gains(
 
 @kernel
 def _add(start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, parts: Any) -> None:
-    """Add a landmark to the information `sums` and to the log determinants `known` of the views.
+    """Add the information of a landmark to the views that cover the landmark, and update their log determinants.
 
-    The landmark is row 0 of `points` and `normals`, `(1, 3)`. Only views from the camera positions `start` to `stop -
-    1` are updated. `parts` is as in `_gains`.
+    The landmark is row 0 of `points` and `normals`, `(1, 3)`: position (metres) and unit normal. Only views from the
+    camera positions `start` to `stop - 1` are updated.
+
+    `parts` is the tuple that `_gains` describes. Two of its arrays are updated: `sums` `(P, D, WIDTH)`, the information
+    of each view, and `known` `(P, D)`, the log determinant of this information.
     """
     positions, sight, obstacles, axes, bands, precision, sums, known = parts
     place, normal = row3(points, 0), row3(normals, 0)
@@ -218,7 +221,7 @@ class CameraLogDeterminant(LogDeterminant):
         shared(_add, len(e.positions), e.threads, (pose.positions, pose.normals, self._parts(e)))
 
     def _parts(self, e: Evaluator) -> tuple[Any, ...]:
-        """Argument `parts` of the kernels `_gains` and `_add`."""
+        """Tuple `parts` for the kernels `_gains` and `_add`; the last two values are the arrays `sums` and `known`."""
         return e.positions, e.sight, e.obstacles, e.axes, e.bands, self.precision(e.scene), self.sums, self.known
 
 
@@ -264,8 +267,9 @@ def _rig_add(
     every: tuple[GroupCoverage, ...], tags: FloatArray, positions: FloatArray, precision: Precision, sums: FloatArray,
     known: FloatArray, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add a tag to the information `sums` and to the log determinants `known` of a rig's views.
+    """Add the information of a tag to the views of a rig that show the tag, and update their log determinants.
 
+    The updated arrays are `sums`, the information of each view, and `known`, the log determinant of this information.
     The tag is the only one in `every` and `tags`; the other arguments are as in `_rig_gains`.
     """
     words, which, bits = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64), views.lists[ORIENTATION]

@@ -181,7 +181,8 @@ def located(evaluator: Evaluator, deployment: Deployment, images: RigImages, n: 
 def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, precision: Precision) -> FloatArray:
     """Fisher information about the body's pose from all images of each view, `(N, width_of(precision))`.
 
-    The information is in the units of `information` for the first camera; other cameras are weighted by `gain_of`.
+    The information is divided by (f / sigma)^2, with the focal length f of the first camera and the noise sigma of a
+    corner, pixels. The information from other cameras is weighted by `gain_of`.
     """
     scene, (positions, axes, seen) = evaluator.scene, images[3:]
     assert scene.rig is not None

@@ -267,9 +267,9 @@ def add_to_sums(
 ) -> None:  # fmt: skip
     """Add the information of a landmark, times `sign`, to the rows of `sums` for several views.
 
-    The views are the orientations `seen`, bits of word w (64 orientations). Row `first` belongs to the first
-    orientation of the word. `moments` `(WIDTH,)` are those of the landmark, `offset` is its offset from the camera,
-    metres. `look` has the camera's model of sight and the axes.
+    The bit set `seen` has the orientations of these views, among the 64 orientations of word w. Row `first` of `sums`
+    belongs to the first orientation of the word. `moments` `(WIDTH,)` are those of the landmark, and `offset` is its
+    offset from the camera, metres. `look` has the camera's model of sight and the axes.
     """
     while seen:
         bit = lowest(seen)
@@ -286,11 +286,11 @@ def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: A
     An orientation may be left out if it cannot change whether its view is localised.
 
     Args:
-        known, trial: state and scratch of coverage; `FRESH` is a row of `trial.sets`.
-        k: the moving landmark.
+        known, trial: state and scratch (working memory) of coverage; `FRESH` is a row of `trial.sets`.
+        k: index of the moving landmark.
         n: number of landmarks that must be covered.
-        localised: bit sets of the localised views, `(Q, W)`.
-        cover: field of coverage.
+        localised: bit sets of the localised views, `(Q, W)`: for each of Q positions, W words of 64 orientations.
+        cover: incremental evaluator (field) of coverage, such as `CoverageField`.
 
     Returns:
         number of positions in the row `LISTED` of `trial.lists`: the positions whose values may change.
@@ -314,8 +314,9 @@ def see_rest(known: Any, k: Integer, cover: Any, trial: Any) -> None:
 def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> None:
     """Find the orientations with which the move makes a landmark other than the moving one disappear or appear.
 
-    Orientations with which some camera ceases to see such a landmark are added to `lost` `(Q, W)`. Orientations with
-    which some camera begins to see one are added to `gained` `(Q, W)`.
+    Orientations with which some camera ceases to see such a landmark are added to `lost`. Orientations with which some
+    camera begins to see one are added to `gained`. `lost` and `gained` are bit sets, `(Q, W)`: for each of Q positions,
+    W words of 64 orientations.
     """
 
 
@@ -347,7 +348,8 @@ def change_sums(
 ) -> None:  # fmt: skip
     """Add the change that a move makes in the information of several views, times `sign`, to the state.
 
-    The views are the orientations `changed`, bits of word w (64 orientations), at position p.
+    The views are at position p. The bit set `changed` has the orientations of these views, among the 64 orientations of
+    word w.
     """
 
 

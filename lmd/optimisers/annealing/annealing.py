@@ -298,8 +298,9 @@ class Annealing(DeploymentSearch):
     def _separated(self, problem: Problem, stack: int, size: float) -> Deployment:
         """Deployment of all landmarks, in which those of each stack are moved apart.
 
-        Footprints scaled by the factor `size` do not overlap. A landmark that belongs to no stack is at its place in
-        the start. `stack` is the number of landmarks in a stack.
+        A stack is a group of `stack` coincident landmarks. In the result, footprints scaled by the factor `size` do not
+        overlap. If some landmarks belong to no stack, the result has the places of these landmarks in `self.start`, the
+        deployment with which the run starts.
         """
         assert self.angles is not None, "there are stacks"
         distance = STACK_SPREAD * size * problem.scene.spacing
