@@ -8,12 +8,12 @@ A difference is the mean over problems of the median fitness of a variant less t
 value known of the problem; its 95 % interval is bootstrapped over the seeds of each problem.
 """
 
-import json
 import sys
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 import lmd.suite
 from lmd.core.words import as_code, markdown_table
@@ -41,10 +41,9 @@ DRAWS = 2000
 def read(folder: Path) -> dict[str, dict[str, list[float]]]:
     """Fitness of each seed, by variant and problem."""
     found: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    for path in sorted(folder.glob("runs/*/*/run.json")):
-        record = json.loads(path.read_text())
-        name = record["name"].split(" seed=")[0].split(" ", 2)[2]
-        found[name][path.parts[-3]].append(record["metrics"]["fitness"])
+    for path in sorted(folder.glob("runs/*/*/history.csv")):
+        name = path.parent.name.split(" seed=")[0].split(" ", 2)[2]
+        found[name][path.parts[-3]].append(pd.read_csv(path).best_fitness.iloc[-1])
     return found
 
 

@@ -12,7 +12,6 @@ known. Its value is that of the NumPy reference.
 import argparse
 import datetime
 import io
-import json
 import re
 import shutil
 import sys
@@ -113,9 +112,9 @@ def enter(frozen: Document, how: str, write: Callable[[Path], object], who: str 
 def collect(folder: Path) -> None:
     """Record the best run of each problem of a tournament."""
     for runs in sorted(path for path in folder.glob("runs/*") if path.is_dir()):
-        records = {path.parent: json.loads(path.read_text()) for path in runs.glob("*/run.json")}
-        found = max(records, key=lambda folder: records[folder]["metrics"]["fitness"])
-        _, evaluations, *entry, seed = records[found]["name"].split()
+        reached = {path.parent: pd.read_csv(path).best_fitness.iloc[-1] for path in runs.glob("*/history.csv")}
+        found = max(reached, key=reached.__getitem__)
+        _, evaluations, *entry, seed = found.name.split()
         how = f"{' '.join(entry)}, {evaluations} evaluations, {seed.replace('=', ' ')}"
         source, kind = (
             (found / "rig.yaml", "rig.yaml") if (found / "rig.yaml").exists() else (found / "landmarks.csv", "csv")
