@@ -20,7 +20,6 @@ from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.plot import common
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.families import picture
 
 FILE = Path(__file__).resolve().parents[1] / "docs" / "images" / "even_and_optimised.png"
@@ -55,7 +54,7 @@ def draw(axes: Any, problem: Problem, deployment: Deployment, title: str) -> Any
         extent = (x - half, x + half, y - half, y + half)
         axes.imshow(picture("36h11", number), cmap="gray", extent=extent, interpolation="none", zorder=4)
     low, high = problem.scene.room.bounds()
-    axes.set(aspect="equal", xlim=(low[0] - 0.65, high[0] + 0.65), ylim=(low[1] - 0.65, high[1] + 0.65))
+    axes.set(aspect="equal", xlim=(low[0] - 0.8, high[0] + 0.65), ylim=(low[1] - 0.65, high[1] + 0.65))
     axes.set_axis_off()
     axes.set_title(title, fontsize=15)
     return coloured
@@ -63,9 +62,11 @@ def draw(axes: Any, problem: Problem, deployment: Deployment, title: str) -> Any
 
 def main(path: Path) -> None:
     """Optimise, score and draw."""
-    cfg = compose("optimise", "experiment=lab_l_shape")
+    cfg, uniform = (
+        compose("optimise", "experiment=lab_l_shape", f"deployment={name}") for name in ("random", "uniform")
+    )
     problem = build_problem(cfg)
-    even = UniformDeployment(cfg.deployment.count).draw(problem.scene.room, np.random.default_rng(0))
+    even = build_problem(uniform).draw(np.random.default_rng(0))
     found = build_optimiser(cfg, 0).run(problem, Budget(cfg.budget.evaluations)).deployment
     figure = Figure(figsize=(15.0, 6.2), dpi=100, facecolor="white")
     panels = figure.subplots(1, 2)

@@ -298,7 +298,7 @@ def _parts_of(
 
     for name in files:
         if not (directory / name).is_file():
-            raise InputError(f"{argument} = '{directory}' is not a run: it has no {name}.")
+            raise InputError(f"{argument} = '{directory}' is not a run: there is no '{directory}/{name}'.")
     before = read_yaml(directory / FILES[0], argument)
     return before, trust.parts(before, f"{argument}: '{directory / FILES[0]}'", groups)
 

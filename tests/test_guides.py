@@ -284,10 +284,10 @@ def test_a_black_box_climbs_what_has_values_only_and_the_rest_says_what_it_lacks
     result = EGA().run(p, Budget(200))
     assert result.fitness > result.history[0].best_fitness
     for method in (Annealing(), Greedy()):
-        with pytest.raises(InputError, match=r"^Bare has no field"):
+        with pytest.raises(InputError, match=r"^Bare cannot evaluate moves"):
             method.run(p, Budget(50))
         assert not method.ledger.history
-    with pytest.raises(InputError, match="Bare has no field"):
+    with pytest.raises(InputError, match="Bare cannot evaluate moves"):
         losses(p, result.deployment)
     with pytest.raises(InputError, match=r"no upper bound for the objective Bare"):
         average_upper_bound(p, 20, Search(1.0, 10, 0.1))

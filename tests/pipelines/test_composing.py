@@ -166,7 +166,7 @@ def test_a_directory_that_is_no_run_gets_one_sentence(earlier):
             after(earlier, "evaluate")
     (earlier / "landmarks.csv").unlink()
     for directory, missing in (("nowhere", ".hydra/config.yaml"), (f"'{earlier}'", "landmarks.csv")):
-        with pytest.raises(InputError, match=rf"^run = .* is not a run: it has no {missing}\.$"):
+        with pytest.raises(InputError, match=rf"^run = .* is not a run: there is no '.*/{missing}'\.$"):
             composing.composed("evaluate", f"run={directory}")
 
 
