@@ -15,7 +15,7 @@ BUDGET = {
     "code lines of lmd": 28590,
     "files of pipelines": 48,
     "code lines of pipelines": 3400,
-    "code lines of tests": 20442,
+    "code lines of tests": 20440,
     "files of conf": 100,
     "keys of conf": 376,
     "words of docs": 40845,
@@ -25,7 +25,7 @@ BUDGET = {
 CEILINGS = {
     "docstring begins with What, How, Whether, Where, Who or Which": 0,
     "so many, so far, so much": 0,
-    "the same, without a noun": 3,
+    "the same, without a noun": 1,
     "nobody, whoever, whatever": 0,
     "what it is of": 0,
 }
