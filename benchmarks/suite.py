@@ -111,7 +111,7 @@ def enter(frozen: Document, how: str, write: Callable[[Path], object], who: str 
 
 def collect(folder: Path) -> None:
     """Record the best run of each problem of a tournament."""
-    for runs in sorted(path for path in folder.glob("runs/*") if path.is_dir()):
+    for runs in sorted(path for path in folder.glob("runs/*") if path.name in lmd.suite.names()):
         reached = {path.parent: pd.read_csv(path).best_fitness.iloc[-1] for path in runs.glob("*/history.csv")}
         found = max(reached, key=reached.__getitem__)
         _, evaluations, *entry, seed = found.name.split()

@@ -233,7 +233,7 @@ def _fitted(
         x, y = image_of(lens(numbers[4:]), *points)
         return np.concatenate([numbers[0] * x + numbers[2] - pixels[0], numbers[1] * y + numbers[3] - pixels[1]])
 
-    # To the end: some coefficients hardly change the image, and would else depend on the machine.
+    # To the end: some coefficients hardly change the image, and would otherwise depend on the machine.
     found = least_squares(off, start, jac="3-point", x_scale="jac", ftol=1e-15, xtol=1e-15, gtol=1e-15)
     fx, fy, cx, cy, *coefficients = map(float, found.x)
     worst = float(np.hypot(*found.fun.reshape(2, -1)).max())
