@@ -11,7 +11,7 @@ from typing_extensions import override
 from lmd.core.checks import Checked, InputError, Positive, real
 from lmd.objectives.base import Objective, selectable
 from lmd.optimisers.annealing import Annealing, Stage
-from lmd.optimisers.annealing.moves import changed
+from lmd.optimisers.annealing.moves import REFINING_STAGE, changed
 from lmd.optimisers.selection import GRID_SPACING, Tags, candidates, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -20,8 +20,6 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.space.space import Space
-
-REFINING_STAGE = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3, 0.05), margin=0.002, share=0.1)
 
 
 class Greedy(Annealing):
@@ -44,7 +42,7 @@ class Greedy(Annealing):
         self, spacing: float = GRID_SPACING, single: Stage | Mapping[str, Any] = REFINING_STAGE, seed: int = 0
     ) -> None:
         single = changed("single", REFINING_STAGE, single)
-        super().__init__(single, single, single, single, single, stacked_share=0.0, seed=seed)
+        super().__init__(*[single] * 6, stacked_share=0.0, seed=seed)
         self.spacing = real("spacing", spacing, above=0.0)
 
     @override

@@ -5,6 +5,7 @@ from support.paper import paper_room, paper_scene
 from support.small import make, problem
 
 from lmd.objectives.coverage import CappedCount, Coverage
+from lmd.optimisers.annealing import annealing
 from lmd.optimisers.greedy import GreedyDeployment, select
 from lmd.optimisers.ledger import Budget
 from lmd.scene import pdf
@@ -75,3 +76,10 @@ def test_the_greedy_optimiser_pays_for_its_gains():
     optimiser = make("greedy")
     optimiser.run(problem(), Budget(200), lambda _: True)
     assert optimiser.ledger.history[0].evaluations > 2.0
+
+
+def test_annealing_of_many_stacks_does_what_greedy_does(monkeypatch):
+    monkeypatch.setattr(annealing, "MOST_STACKS", 1)
+    runs = [make(name, seed=3).run(problem(), Budget(60)) for name in ("annealing", "greedy")]
+    assert runs[0].fitness == runs[1].fitness
+    np.testing.assert_array_equal(runs[0].deployment.positions, runs[1].deployment.positions)

@@ -1,7 +1,7 @@
 """Simulated annealing of landmarks on the surfaces of a room.
 
 An orientation of the camera counts only if at least n landmarks are seen, so good deployments of K landmarks have
-clusters of about n landmarks. A run from a random start therefore has up to three stages:
+clusters of about n landmarks. A run with few clusters from a random start therefore has up to three stages:
 
 1. K/n *stacks* (groups of n coincident landmarks) are annealed without occlusion. A stack acts as one landmark of a
    problem with n = 1, which is smaller, smoother and faster to evaluate.
@@ -34,6 +34,7 @@ from lmd.optimisers.annealing.ascent import PLACES_TRIED, Ascent
 from lmd.optimisers.annealing.moves import (
     CHOSEN_STAGE,
     GIVEN_STAGE,
+    REFINING_STAGE,
     SAMPLED_STAGE,
     SINGLE_STAGE,
     STACKED_STAGE,
@@ -61,6 +62,7 @@ CHECK_EVALUATIONS = 10  # cost of the moves on a surrogate, in evaluations, betw
 CHECK_FACTOR_ON_SAMPLES = 2  # factor on `CHECK_EVALUATIONS` for walks on samples, which are drawn for each phase
 ASCENT_STEPS = 10  # number of steps of the ascent between two evaluations on the problem
 GROWTH = 0.8  # share of the stage `single` in which footprints grow to their true size: nu, or the paper of tags
+MOST_STACKS = 150  # above, a greedy choice finds a better layout than a walk of stacks from random places
 SMALLEST_SIZE = 0.2  # size of footprints, relative to the true size, when the separation of stacks begins
 
 
@@ -82,7 +84,9 @@ class Annealing(DeploymentSearch):
             temperature is higher than in `single`, because the start may be bad. An objective that is evaluated on
             samples is smoothed as in `sampled`.
         chosen: conditions that replace `given` if the start is chosen greedily (`selection`): each landmark in turn is
-            put where it adds most. A greedy choice replaces a random start if the objective allows no stacks.
+            put where it adds most. A greedy choice replaces a random start if the objective allows no stacks, or if
+            there would be more than `MOST_STACKS`.
+        refining: conditions that replace `chosen` if there would be more than `MOST_STACKS` stacks.
         stacked_share: share of the budget spent on stacks.
         climb_share: share of the budget spent on the gradient ascent, if the objective is evaluated on samples.
         walkers: largest number of walks that move landmarks at the same time, see `Surrogate`.
@@ -102,6 +106,7 @@ class Annealing(DeploymentSearch):
         sampled: Stage | Mapping[str, Any] = SAMPLED_STAGE,
         given: Stage | Mapping[str, Any] = GIVEN_STAGE,
         chosen: Stage | Mapping[str, Any] = CHOSEN_STAGE,
+        refining: Stage | Mapping[str, Any] = REFINING_STAGE,
         stacked_share: float = 0.5,
         climb_share: float = 0.2,
         walkers: int = 2,
@@ -111,6 +116,7 @@ class Annealing(DeploymentSearch):
         self.stacked, self.single = changed("stacked", STACKED_STAGE, stacked), changed("single", SINGLE_STAGE, single)
         self.sampled, self.given = changed("sampled", SAMPLED_STAGE, sampled), changed("given", GIVEN_STAGE, given)
         self.chosen = changed("chosen", CHOSEN_STAGE, chosen)
+        self.refining = changed("refining", REFINING_STAGE, refining)
         self.stacked_share = real("stacked_share", stacked_share, low=0.0, high=0.9)
         self.climb_share = real("climb_share", climb_share, low=0.0, high=1.0 - self.stacked_share)
         self.walkers = integer("walkers", walkers, low=1)
@@ -190,7 +196,8 @@ class Annealing(DeploymentSearch):
 
     def _is_greedy(self, problem: Problem, stack: int) -> bool:
         """True if the run starts greedily; `stack` is the number of landmarks in a stack, 0 without stacks."""
-        return not stack and problem.start.varies and isinstance(problem.objective, Selectable)
+        in_stacks = 0 < stack and count_stacks(problem, stack) <= MOST_STACKS
+        return not in_stacks and problem.start.varies and isinstance(problem.objective, Selectable)
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
         """Do one phase of the walk, that is, a number of moves under constant conditions.
@@ -262,7 +269,8 @@ class Annealing(DeploymentSearch):
         done = (used - skipped) / (1.0 - skipped - self._climb_share(problem))
         near, sampled = STACK_SPREAD * problem.scene.spacing, problem.objective.sampling is not None
         if self.angles is None:
-            only = self.chosen if self._is_greedy(problem, stack) else self.given
+            chosen = self.refining if stack else self.chosen
+            only = chosen if self._is_greedy(problem, stack) else self.given
             smooth = self.sampled if sampled else only
             size, stage = 1.0, replace(only, width=smooth.width, share=smooth.share)
         else:
