@@ -8,20 +8,25 @@ PYTHONPATH=.:tests python benchmarks/filtered.py picture lab --tags 6 FILE.png
 """
 
 import argparse
+import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from filtered_recording import corner_errors, lasting_noise, within
 from support.composing import composed
 
-from lmd.core.checks import FloatArray
-from lmd.core.layers import layers
+from lmd.core.checks import FloatArray, IntArray
+from lmd.core.compiled import kernel
+from lmd.core.layers import layer, layers
 from lmd.estimation.fusion import FixedLagSmoother, InvariantKalmanFilter
 from lmd.estimation.recording import Flight, Odometry, record
 from lmd.geometry.se3 import exp
 from lmd.incremental.field import BOUND, NO_UNITS, SETTLE, perform
+from lmd.objectives.filtered.sightings import begin, see
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.ledger import Budget
@@ -46,6 +51,7 @@ NOISE = {"slow": (), "fast": ("objective.odometry.turn_noise=0.005", "objective.
 TOLERANCE = 0.02  # of the position, metres
 OPTIMISED_ON = 96  # drives
 SEEDS = 3  # of annealing, in `shares`
+TRIES, ROUNDS = 200, 7  # random moves, and repetitions, in `moves`
 
 
 def problem_of(room: str, objective: str, tags: int, odometry: str = "slow", *more: str) -> Problem:
@@ -63,40 +69,78 @@ def placed(problem: Problem, evaluations: int, seed: int = 0) -> Deployment:
 
 
 def moves() -> None:
-    """Print the processor time of a tried move of the filtered objective and of localisation, by their defaults, and
-    the mean share of the frames that a move makes the filter compute again.
+    """Print the processor time of a tried move of the filtered objective and of localisation, by their defaults, and of
+    localisation with a single orientation at each position, as a frame of a drive has; the mean share of the frames
+    that a move makes the filter compute again; and the time that finding the changed frames takes, without the filter.
     """
-    print("| objective | views | tried move, us | per view, ns | filtered again |\n| --- | --- | --- | --- | --- |")
-    for name, given in (("filtered", ["objective=filtered"]), ("localisation", [])):
-        problem = build_problem(composed("optimise", "experiment=lab", *given, "threads=1"))
+    print("| objective | positions | views | tried move, us | per view, ns | filtered again |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    with tempfile.TemporaryDirectory() as folder:
+        one = Path(folder) / "one.csv"
+        one.write_text("yaw,pitch,weight\n0.3,0,1\n")
+        single = ["pdf=samples", f"pdf.path={one}", "room.spacing=0.1"]
+        rows = {"filtered": ["objective=filtered"], "localisation": [], "localisation, one orientation": single}
+        problems = {
+            name: build_problem(composed("optimise", "experiment=lab", *row, "threads=1")) for name, row in rows.items()
+        }
+    for name, problem in problems.items():
         evaluator = problem.fitness_evaluator
-        views = len(evaluator.positions)
-        views *= 1 if name == "filtered" else len(evaluator.scene.orientations.axes)
+        positions = len(evaluator.positions)
+        views = positions * (1 if name == "filtered" else len(evaluator.scene.orientations.axes))
         cost, again = _tried(problem)
-        print(f"| {name} | {views} | {1e6 * cost:.0f} | {1e9 * cost / views:.1f} | {again:.0%} |", flush=True)
+        print(
+            f"| {name} | {positions} | {views} | {1e6 * cost:.0f} | {1e9 * cost / views:.1f} | {again:.0%} |",
+            flush=True,
+        )
+    print(
+        f"Without the filter, a tried move of the filtered objective takes {1e6 * _seen(problems['filtered']):.0f} us."
+    )
 
 
-def _tried(problem: Problem, tries: int = 200, rounds: int = 7) -> tuple[float, float]:
-    """Least processor seconds of a tried move, over rounds of random moves; share of the frames filtered again."""
+@kernel
+def _see(steps: IntArray, poses: FloatArray, field: Any, state: Any, scratches: Any) -> None:
+    """Find the frames that each of the moves `steps` changes, without filtering them."""
+    scratch = layer(scratches, 0)
+    for s in range(len(steps)):
+        begin(field, steps[s, 1], poses[s], steps[s, 2], state, scratch)
+        see(field, steps[s, 1], state, scratch)
+
+
+def _seen(problem: Problem) -> float:
+    """Least processor seconds, over rounds of random moves, in which the frames that a move changes are found."""
+    field, state, scratches, steps, poses = _random_moves(problem)
+    steps, poses = steps[::2], poses[::2]
+    _see(steps[:1], poses[:1], field, state, scratches)
+    return min(_seconds(lambda: _see(steps, poses, field, state, scratches)) for _ in range(ROUNDS)) / TRIES
+
+
+def _seconds(action: Callable[[], None]) -> float:
+    began = time.process_time()
+    action()
+    return time.process_time() - began
+
+
+def _random_moves(problem: Problem) -> tuple[Any, Any, Any, IntArray, FloatArray]:
+    """Field, state and scratches of a random deployment; steps and poses that try and settle `TRIES` random moves."""
     field, rng = field_of(problem.objective, problem.fitness_evaluator), np.random.default_rng(1)
     state = field.state(problem.draw(np.random.default_rng(0)))
-    scratches = layers(field.scratch(state), 1)
-    drawn = [problem.draw(rng) for _ in range(1 + tries // problem.count)]
-    poses = np.concatenate([np.hstack([each.positions, each.normals]) for each in drawn])[:tries].repeat(2, axis=0)
-    steps = np.zeros((tries, 2, 4), dtype=np.int64)
-    steps[:, :, 0], steps[:, :, 1] = (BOUND, SETTLE), rng.integers(0, problem.count, tries)[:, None]
-    steps[:, :, 2] = np.concatenate([each.surfaces for each in drawn])[:tries, None]
-    steps = steps.reshape(-1, 4)
-    seconds = []
-    for _ in range(rounds):
-        began = time.process_time()
-        perform(steps, poses, field, state, scratches, NO_UNITS)
-        seconds.append(time.process_time() - began)
+    drawn = [problem.draw(rng) for _ in range(1 + TRIES // problem.count)]
+    poses = np.concatenate([np.hstack([each.positions, each.normals]) for each in drawn])[:TRIES].repeat(2, axis=0)
+    steps = np.zeros((TRIES, 2, 4), dtype=np.int64)
+    steps[:, :, 0], steps[:, :, 1] = (BOUND, SETTLE), rng.integers(0, problem.count, TRIES)[:, None]
+    steps[:, :, 2] = np.concatenate([each.surfaces for each in drawn])[:TRIES, None]
+    return field, state, layers(field.scratch(state), 1), steps.reshape(-1, 4), poses
+
+
+def _tried(problem: Problem) -> tuple[float, float]:
+    """Least processor seconds of a tried move, over rounds of random moves; share of the frames filtered again."""
+    field, state, scratches, steps, poses = _random_moves(problem)
+    seconds = [_seconds(lambda: perform(steps, poses, field, state, scratches, NO_UNITS)) for _ in range(ROUNDS)]
     again = 0
     for k in range(0, len(steps), 2):
         perform(steps[k : k + 2], poses[k : k + 2], field, state, scratches, NO_UNITS)
         again += int((field.first[1:] - scratches.starts[0]).sum()) if hasattr(scratches, "starts") else 0
-    return min(seconds) / tries, again / tries / len(state.units)
+    return min(seconds) / TRIES, again / TRIES / len(state.units)
 
 
 def shares(room: str, evaluations: int) -> None:

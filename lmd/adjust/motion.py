@@ -69,10 +69,8 @@ class Clock(NamedTuple):
         """Sentence for the user on the offset of the clocks."""
         if self.sigma >= HIDDEN and not self.is_corrected:
             return "the motion does not show an offset of the camera's clock from the odometry's"
-        side, done = (
-            "behind" if self.offset > 0.0 else "ahead of",
-            "corrected" if self.is_corrected else "not significant",
-        )
+        side = "behind" if self.offset > 0.0 else "ahead of"
+        done = "corrected" if self.is_corrected else "not significant"
         size, spread = f"{1e3 * abs(self.offset):.1f} ms", f"({1e3 * self.sigma:.1f} ms)"
         return f"the camera's clock is {size} {side} the odometry's {spread}, which is {done}"
 

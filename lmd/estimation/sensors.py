@@ -210,11 +210,8 @@ def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[Float
     """
     cv2 = optional("cv2", "detection")
     matrix, squares = intrinsics(camera), _squares(edges)
-    turns, shifts, straight = (
-        np.zeros((len(found), 3)),
-        np.zeros((len(found), 3)),
-        np.tile(np.eye(3), (len(found), 1, 1)),
-    )
+    turns, shifts = np.zeros((2, len(found), 3))
+    straight = np.tile(np.eye(3), (len(found), 1, 1))
     for i, image in enumerate(np.ascontiguousarray(found)):
         if camera.lens is not None:
             straight[i], _, image = straightened(bearings(camera, image))

@@ -42,7 +42,7 @@ class Greedy(Annealing):
         self, spacing: float = GRID_SPACING, single: Stage | Mapping[str, Any] = REFINING_STAGE, seed: int = 0
     ) -> None:
         single = changed("single", REFINING_STAGE, single)
-        super().__init__(*[single] * 6, stacked_share=0.0, seed=seed)
+        super().__init__(single, single, single, single, single, single, stacked_share=0.0, seed=seed)
         self.spacing = real("spacing", spacing, above=0.0)
 
     @override

@@ -7,13 +7,4 @@ from lmd.scene.rig import Mount, Rig
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 
-__all__ = [
-    "Camera",
-    "Deployment",
-    "Mount",
-    "RandomDeployment",
-    "Rig",
-    "Scene",
-    "Tag",
-    "UniformDeployment",
-]
+__all__ = ["Camera", "Deployment", "Mount", "RandomDeployment", "Rig", "Scene", "Tag", "UniformDeployment"]

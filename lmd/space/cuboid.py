@@ -96,10 +96,8 @@ class Cuboid(Gridded):
 
     def outline(self) -> dict[str, FloatArray]:
         """See `Space.outline`."""
-        return {
-            "room": box_edges(*self.bounds()),
-            "reachable area": box_edges(self.reachable_low, self.reachable_high),
-        }
+        reachable = box_edges(self.reachable_low, self.reachable_high)
+        return {"room": box_edges(*self.bounds()), "reachable area": reachable}
 
 
 @lru_cache

@@ -19,13 +19,4 @@ from lmd.suite.documents import Document, document, names
 from lmd.suite.frozen import problem
 from lmd.suite.records import best, verify
 
-__all__ = [
-    "BlackBox",
-    "Document",
-    "best",
-    "document",
-    "names",
-    "problem",
-    "pymoo_problem",
-    "verify",
-]
+__all__ = ["BlackBox", "Document", "best", "document", "names", "problem", "pymoo_problem", "verify"]

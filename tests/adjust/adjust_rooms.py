@@ -60,10 +60,8 @@ def drawn(factors, seed=0, sigma=SIGMA):
     if "joint" in factors:
         half = rng.normal(size=(size, size)) * np.tile(PRIOR_SIGMAS, TAGS)[:, None] / np.sqrt(size)
         covariance = half @ half.T + np.diag(np.tile(PRIOR_SIGMAS, TAGS) ** 2) / 9.0
-        joint, tags = (
-            np.linalg.inv(covariance),
-            PLAN @ exp(rng.multivariate_normal(np.zeros(size), covariance).reshape(-1, 6)),
-        )
+        joint = np.linalg.inv(covariance)
+        tags = PLAN @ exp(rng.multivariate_normal(np.zeros(size), covariance).reshape(-1, 6))
     elif "sheets" in factors:
         information[3:] = 0.0
         off = rng.normal(size=(2, 6)) * SHEETS.information**-0.5

@@ -123,12 +123,8 @@ def dense(joint, poses, weight=None):
             for there, other in slopes:
                 matrix[here : here + slope.shape[1], there : there + other.shape[1]] += slope.T @ information @ other
 
-    at, sigmas, sheet, bias = (
-        Reprojection(some, *poses.of(some)),
-        some.shape_sigmas,
-        first + kept,
-        first + 6 * joint.first_lens - 6,
-    )
+    at, sigmas = Reprojection(some, *poses.of(some)), some.shape_sigmas
+    sheet, bias = first + kept, first + 6 * joint.first_lens - 6
     for n, (frame, tag, camera) in enumerate(
         zip(np.searchsorted(seen, some.frame), some.tag, some.camera, strict=True)
     ):

@@ -54,10 +54,8 @@ def test_odometry_drifts_as_far_as_said():
 
 
 def test_the_noise_of_the_odometry_changes_nothing_else():
-    exact, drifting = (
-        recorded(PointDetector(0.5), flights=FLIGHTS[:1]),
-        recorded(PointDetector(0.5), DRIFT, FLIGHTS[:1]),
-    )
+    exact = recorded(PointDetector(0.5), flights=FLIGHTS[:1])
+    drifting = recorded(PointDetector(0.5), DRIFT, FLIGHTS[:1])
     assert_array_equal(exact.points, drifting.points)
     assert_array_equal(exact.twists[0], FLIGHTS[0].twists)
     assert (drifting.twists != exact.twists).all()

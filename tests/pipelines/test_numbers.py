@@ -70,11 +70,7 @@ OPTIONS = [
     ("detect", "detectors", ["detectors=[apriltag_decimate2]"]),
 ]
 # The whole key is not in the sentence, but what it is called there.
-CALLED = {
-    "mean_interval": "mean interval",
-    "export": "tag.edge must be given",
-    "simulate": "recording.path",
-}
+CALLED = {"mean_interval": "mean interval", "export": "tag.edge must be given", "simulate": "recording.path"}
 FOREIGN = "optimiser.algorithm."  # parameters of a library's, which has its own words for them
 
 

@@ -29,11 +29,8 @@ def _compose_sooner():
     """Spare what is read, parsed or asked for again, and copies of what nobody changes: a third of composing."""
     Plugins.instance()  # registers Hydra's own loaders
     resources = SourcesRegistry.instance().types["pkg"]  # Hydra has executed its module anew, so it is no import
-    load, parse_rule, choices = (
-        resources.load_config,
-        OverridesParser.parse_rule,
-        defaults_list._create_interpolation_map,
-    )
+    load, parse_rule = resources.load_config, OverridesParser.parse_rule
+    choices = defaults_list._create_interpolation_map
     read, parsed = {}, {}
 
     def load_once(self, config_path):

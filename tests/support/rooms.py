@@ -102,12 +102,8 @@ def walls_of(plan: FloorPlan) -> trimesh.Trimesh:
         triangles += [[(*p, 0.0) for p in (a, b, c)], [(*p, plan.height) for p in (c, b, a)]]
     for ring in shapely.get_parts(shapely.boundary(shapely.orient_polygons(plan.ground))):
         for start, end in zip(ring.coords[:-1], ring.coords[1:], strict=True):
-            low_start, low_end, high_start, high_end = (
-                (*start, 0),
-                (*end, 0),
-                (*start, plan.height),
-                (*end, plan.height),
-            )
+            low_start, low_end = (*start, 0), (*end, 0)
+            high_start, high_end = (*start, plan.height), (*end, plan.height)
             triangles += [[low_start, high_end, low_end], [low_start, high_start, high_end]]
     vertices = np.array(triangles, dtype=float).reshape(-1, 3)
     mesh = trimesh.Trimesh(vertices, np.arange(len(vertices)).reshape(-1, 3), process=False)

@@ -93,11 +93,9 @@ def inverted(p: Any) -> tuple[Number, ...]:
     a = _inverse((vxx, vxy, vxz, vyy, vyz, vzz))
     # G = V^-1 X by columns, and the Schur complement W - X^T G.
     x, y, z = (xxx, xyx, xzx), (xxy, xyy, xzy), (xxz, xyz, xzz)
-    (gxx, gyx, gzx), (gxy, gyy, gzy), (gxz, gyz, gzz) = gx, gy, gz = (
-        symmetric3(a, x),
-        symmetric3(a, y),
-        symmetric3(a, z),
-    )
+    gxx, gyx, gzx = gx = symmetric3(a, x)
+    gxy, gyy, gzy = gy = symmetric3(a, y)
+    gxz, gyz, gzz = gz = symmetric3(a, z)
     d = _inverse((
         wxx - dot3(x, gx), wxy - dot3(x, gy), wxz - dot3(x, gz), wyy - dot3(y, gy), wyz - dot3(y, gz),
         wzz - dot3(z, gz),

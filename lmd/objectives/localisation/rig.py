@@ -186,10 +186,8 @@ def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, p
     """
     scene, (positions, axes, seen) = evaluator.scene, images[3:]
     assert scene.rig is not None
-    tags, sums = (
-        tags_of(precision, deployment.positions, deployment.normals),
-        np.zeros((len(positions), width_of(precision))),
-    )
+    tags = tags_of(precision, deployment.positions, deployment.normals)
+    sums = np.zeros((len(positions), width_of(precision)))
     for camera, offsets, turned, its in zip(scene.cameras, *scene.rig.views(axes), seen, strict=True):
         there = for_kernels(offsets.T[None]), for_kernels(turned.T[None]), gain_of(camera, scene.cameras[0])
         mounts = Mounts(0, scene.visibility.sight(camera), *there)

@@ -196,7 +196,7 @@ class Annealing(DeploymentSearch):
 
     def _is_greedy(self, problem: Problem, stack: int) -> bool:
         """True if the run starts greedily; `stack` is the number of landmarks in a stack, 0 without stacks."""
-        in_stacks = 0 < stack and count_stacks(problem, stack) <= MOST_STACKS
+        in_stacks = stack > 0 and count_stacks(problem, stack) <= MOST_STACKS
         return not in_stacks and problem.start.varies and isinstance(problem.objective, Selectable)
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:

@@ -121,17 +121,16 @@ class Ascent:
                 evaluated in parallel threads.
             rng: random generator that draws the samples.
         """
-        surfaces, seeds = (
-            SurfaceArrays.of(problem.scene.footprints.hanging.surfaces()),
-            rng.integers(2**63, size=samples),
-        )
+        surfaces = SurfaceArrays.of(problem.scene.footprints.hanging.surfaces())
+        seeds = rng.integers(2**63, size=samples)
 
         def sampled(seed: int) -> FloatArray:
             sample = problem.resampled(0.0, np.random.default_rng(seed))
             assert sample is not None, "the objective has a sampling"
-            field = field_of(problem.objective, sample[0])
+            objective, evaluator, relevance = sample
+            field = field_of(objective, evaluator)
             state, out = field.state(here), np.zeros((len(here), 2))
-            target = slope_target(target_of(problem.objective, field, *sample), state.units)
+            target = slope_target(target_of(objective, field, evaluator, relevance), state.units)
             scratch = field.scratch(state)
             runner(field, slopes)(
                 problem.fixed_count, field, state, scratch, target, surfaces, DIFFERENCE_M, WIDTH, out
