@@ -176,7 +176,7 @@ def flown(room: str, tags: int, evaluations: int, drives: int, detector: str, od
     """Print predicted shares along fresh drives, and those of estimators that fly them."""
     problem = problem_of(room, "filtered", tags, odometry, f"objective.fresh={drives}")
     along = problem.objective.fresh
-    cfg = composed("observe", f"sensor={detector}", f"tag.edge={problem.scene.tag.size}")
+    cfg = composed("evaluate", "studies=[observe]", f"sensor={detector}", f"tag.edge={problem.scene.tag.size}")
     sensor = instantiate(cfg.sensor, **({"missed": 0.0} if detector == "noisy" else {}))
     noise = Odometry(along.turn_noise, along.motion_noise)
     least = {"least_turn_noise": 1e-4, "least_motion_noise": 1e-4}

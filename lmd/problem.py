@@ -10,7 +10,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, returned
 from lmd.core.threads import MOST_THREADS
-from lmd.objectives.base import Objective, Redrawing
+from lmd.objectives.base import Objective
 from lmd.objectives.crowd import describe_crowd, over_states, seeks_worst, worst_figures
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import DeploymentSource
@@ -299,33 +299,24 @@ class Problem:
         described = self.objective.describe(figures, len(self.relevance), count)
         return {"fitness": fitness, **described, **describe_crowd(self.objective, figures, self.evaluator)}
 
-    @property
-    def redraws(self) -> bool:
-        """True if `resampled` draws new positions."""
-        return self.objective.sampling is not None or (isinstance(self.objective, Redrawing) and self.objective.redraws)
-
-    def resampled(self, share: float, rng: np.random.Generator) -> tuple[Objective, Evaluator, FloatArray] | None:
-        """Draw a new random sample of positions, as the objective's sampling does, or new random drives.
+    def resampled(self, share: float, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
+        """Draw a new random sample of positions, as the objective's sampling does.
 
         Some optimisers change the sample during a run, so that the deployment is not fitted to one sample.
 
         Args:
             share: fraction of the usual number of positions in each cell of the grid, see `Sampling`; at least one
-                position is drawn in each cell. The number of drives is always the usual one.
+                position is drawn in each cell.
             rng: random generator of the draw.
 
         Returns:
-            objective, evaluator at the Q positions, and their relevance, `(Q,)`; None if `redraws` is False.
+            evaluator at the Q positions, and their relevance, `(Q,)`; None if the objective has no sampling.
         """
-        objective, sampling = self.objective, self.objective.sampling
-        if sampling is not None:
-            evaluator, cells = sampling.evaluator(self.scene, self._repeats(share), rng, threads=1), len(self.places)
-            return objective, evaluator, np.tile(self.relevance[:cells], len(evaluator.positions) // cells)
-        if not (isinstance(objective, Redrawing) and objective.redraws):
+        sampling = self.objective.sampling
+        if sampling is None:
             return None
-        objective, scene = objective.redrawn(self.scene, rng)
-        evaluator = Evaluator(scene, threads=1)
-        return objective, evaluator, scene.room.relevance.weights(evaluator.positions)
+        evaluator, cells = sampling.evaluator(self.scene, self._repeats(share), rng, threads=1), len(self.places)
+        return evaluator, np.tile(self.relevance[:cells], len(evaluator.positions) // cells)
 
     def _repeats(self, share: float) -> int:
         """Number of random positions to draw in each cell of the grid: `share` of that in `Sampling`, at least one."""
@@ -362,13 +353,11 @@ def _fields(part: Any) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """Copy of `value` for JSON, without functions: None stands for infinity and NaN, and a text with its shape for an
-    array.
-    """
+    """Copy of `value` for JSON: None stands for infinity and NaN, and a text with its shape for an array."""
     if isinstance(value, np.ndarray):
         return f"array of shape {value.shape}"
     if isinstance(value, Mapping):
-        return {key: _finite(inner) for key, inner in value.items() if not callable(inner)}
+        return {key: _finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

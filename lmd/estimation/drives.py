@@ -2,8 +2,8 @@
 Kalman filter knows the pose. Drives are cut from recordings, or drawn from a source of trajectories.
 """
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from lmd.estimation.recording import Odometry
 from lmd.geometry.trajectory import Trajectory
 from lmd.objectives.filtered import Drives, Filtered
 from lmd.scene.scene import Scene
+from lmd.space.changed import DrivenRoom, RecordedRoom
 
 DRIVES_STREAM = 0x647269  # key that separates the random numbers of drives from other uses of a seed
 FRAME_BYTES = 1000  # memory of a frame of a drive
@@ -60,36 +61,39 @@ def filtered(
         raise InputError(f"odometry must be Odometry, got {odometry!r}.", "odometry")
     if scene.crowd is not None:
         raise InputError("an objective along drives cannot have a crowd: leave the crowd out.")
-    count, further, draw = integer("drives", drives, low=1), integer("fresh", fresh, low=0), None
+    count, others = integer("drives", drives, low=1), integer("fresh", fresh, low=0)
     every, length = integer("held_out", held_out, low=2), real("block", block, above=0.0)
     if scene.recorded is not None:
-        chosen, kept = _divided(cut(scene.recorded.trajectory, length), every)
+        room, parts = scene.room, cut(scene.recorded.trajectory, length)
+        if isinstance(room, RecordedRoom):  # it would count the recorded time twice
+            room = room.original
+        chosen, kept = _divided(parts, every)
     else:
-        start, draws = seed_number(seed), partial(trajectory.draw, scene)
-        first = _draw(draws, [start, DRIVES_STREAM], 2)
+        room, start = scene.room, seed_number(seed)
+        first = _draw(scene, trajectory, [start, DRIVES_STREAM], 2)
         if np.array_equal(first[0].poses, first[1].poses):
             chosen, kept = _divided(cut(first[0], length), every)
         else:
-            for name, number in (("drives", count), ("fresh", further)):
+            for name, number in (("drives", count), ("fresh", others)):
                 needed = FRAME_BYTES * number * len(first[0].time)
                 check_memory(needed, f"{name} = {number} drives of {len(first[0].time)} frames", name)
-            draw, chosen = draws, _draw(draws, [start, DRIVES_STREAM], count)
-            kept = _draw(draws, [start, FRESH_STREAM], further)
+            chosen = _draw(scene, trajectory, [start, DRIVES_STREAM], count)
+            kept = _draw(scene, trajectory, [start, FRESH_STREAM], others)
 
     def driven(trajectories: Sequence[Trajectory]) -> Drives:
         noise = odometry.turn_noise, odometry.motion_noise
         return Drives(trajectories, *noise, start_position, start_attitude)
 
-    along, others = driven(chosen), driven(kept) if kept else None
-    objective = Filtered(drives=along, fresh=others, draw=draw, **settings)  # type: ignore[arg-type]
-    return objective, along.scene(scene)
+    along = driven(chosen)
+    objective = Filtered(drives=along, fresh=driven(kept) if kept else None, **settings)  # type: ignore[arg-type]
+    return objective, replace(scene, room=DrivenRoom(room, along.positions, along.seconds), recorded=None)
 
 
-def _draw(draw: Callable[[np.random.Generator], Trajectory], seed: Sequence[int], count: int) -> list[Trajectory]:
+def _draw(scene: Scene, source: TrajectorySource, seed: Sequence[int], count: int) -> list[Trajectory]:
     """Draw `count` random trajectories. A greater `count` appends further trajectories and does not change the first
     ones.
     """
-    return [draw(np.random.default_rng([*seed, i])) for i in range(count)]
+    return [source.draw(scene, np.random.default_rng([*seed, i])) for i in range(count)]
 
 
 def cut(trajectory: Trajectory, seconds: float) -> list[Trajectory]:

@@ -15,7 +15,6 @@ from lmd.sight.evaluator import Evaluator
 if TYPE_CHECKING:
     from lmd.incremental.field import Field, Target
     from lmd.objectives.sampling import Sampling
-    from lmd.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -213,18 +212,6 @@ class SelfValidating(Protocol):
         The names of the figures begin with `grid_free_`. The result is empty if the objective has no data for
         validation.
         """
-
-
-@runtime_checkable
-class Redrawing(Protocol):
-    """Interface of objectives that bring their own positions, which may be drawn again at random."""
-
-    @property
-    def redraws(self) -> bool:
-        """True if the positions are random, so that new ones may be drawn."""
-
-    def redrawn(self, scene: "Scene", rng: np.random.Generator) -> tuple[Objective, "Scene"]:
-        """Copy of the objective with new random positions, and a copy of `scene` with these camera positions."""
 
 
 def incremental(objective: Objective) -> Incremental:

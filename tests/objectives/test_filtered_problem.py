@@ -125,19 +125,6 @@ def test_drives_follow_from_the_seed_and_not_from_their_number():
     assert not np.array_equal(one.poses, other.poses)
 
 
-def test_random_drives_are_drawn_anew_and_those_of_a_recording_are_not():
-    problem, rng = problem_of(), np.random.default_rng(1)
-    objective, evaluator, relevance = problem.resampled(0.5, rng)
-    assert len(objective.drives) == len(problem.objective.drives)
-    assert not np.array_equal(evaluator.positions[:31], problem.evaluator.positions[:31])
-    state = field_of(objective, evaluator).state(DEPLOYMENT)
-    one = DEPLOYMENT.positions[None], DEPLOYMENT.normals[None]
-    np.testing.assert_array_equal(state.units > 0, objective.values(evaluator, *one)[0])
-    assert relevance.sum() == pytest.approx(objective.drives.seconds.sum())
-    recorded = SimpleNamespace(draw=lambda *_: problem.objective.drives.trajectories[0])
-    assert problem_of(recorded, block=0.5).resampled(0.5, rng) is None
-
-
 def test_every_fifth_drive_of_a_recording_is_held_out():
     points = [[1.5, 1.5, 3.0, 0.0, 0.0], [6.0, 1.5, 3.0, 1.57, 0.0], [6.0, 3.5, 3.0, 3.14, 0.0]]
     source = SimpleNamespace(draw=lambda *_: PACE.through(np.array(points)))

@@ -34,7 +34,7 @@ def smooth_fitness(p, evaluator, relevance, deployment):
 def test_slopes_are_differences_of_full_evaluations():
     p = sampled(sampling=Sampling(positions=1, divisions=40))  # orientations enough to change by millimetres
     here = p.draw(np.random.default_rng(0))
-    _, evaluator, relevance = p.resampled(0.0, np.random.default_rng(1))
+    evaluator, relevance = p.resampled(0.0, np.random.default_rng(1))
     field = p.objective.field(evaluator)
     state, out = field.state(here), np.zeros((len(here), 2))
     surfaces = SurfaceArrays.of(p.scene.room.surfaces())

@@ -1,7 +1,7 @@
 """Drives of a camera or of a rig's body, and the odometry along the drives, as plain arrays."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Annotated
 
@@ -10,8 +10,6 @@ import numpy as np
 from lmd.core.checks import Checked, FloatArray, InputError, IntArray, real
 from lmd.geometry.se3 import axis_and_right
 from lmd.geometry.trajectory import Trajectory
-from lmd.scene.scene import Scene
-from lmd.space.changed import DrivenRoom, RecordedRoom
 
 DECIMALS = 9  # of the duration of a frame, seconds: regular frames last equally long
 LARGEST = 1e6  # greatest standard deviation, in its unit
@@ -103,11 +101,6 @@ class Drives(Checked):
         start[[0, 3, 5]] = min(self.start_position, UNKNOWN_POSITION) ** 2
         start[[15, 18, 20]] = min(self.start_attitude, UNKNOWN_ATTITUDE) ** 2
         return start
-
-    def scene(self, scene: Scene) -> Scene:
-        """Copy of `scene` whose camera positions are those of the frames, instead of any recorded ones."""
-        room = scene.room.original if isinstance(scene.room, RecordedRoom) else scene.room
-        return replace(scene, room=DrivenRoom(room, self.positions, self.seconds), recorded=None)
 
     @property
     def vaguest(self) -> float:

@@ -3,15 +3,14 @@ tolerance.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, Count, FloatArray, InputError, Positive, Share, real
-from lmd.geometry.trajectory import Trajectory
 from lmd.incremental.field import Field
 from lmd.objectives.base import AtLeast, Headline, figure_of, with_error
 from lmd.objectives.coverage import Mean
@@ -98,8 +97,6 @@ class Filtered(AtLeast):
         thold_p: least value of a qualified position; values are 0 or 1.
         drives: training drives, which determine the fitness.
         fresh: validation drives, or None.
-        draw: function that draws a random drive; None if the training drives are not random. Annealing draws new drives
-            from time to time, because the deployment would be fitted to the training drives.
         tolerance: greatest standard deviation of the filtered position, metres.
         rotation_tolerance: greatest standard deviation of the filtered rotation, rad; None for no limit.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
@@ -114,7 +111,6 @@ class Filtered(AtLeast):
     thold_p: Share = 1.0
     drives: Drives = None  # type: ignore[assignment] # required, though the fields of the base have defaults
     fresh: Drives | None = None
-    draw: Callable[[np.random.Generator], Trajectory] | None = None
     tolerance: Positive = 0.02
     rotation_tolerance: Positive | None = None
     pixel_noise: Annotated[float, partial(real, low=1e-6)] = 0.5
@@ -128,17 +124,6 @@ class Filtered(AtLeast):
     def sampling(self) -> Sampling | None:
         """See `Objective.sampling`. The result is None, because the frames of the drives are the sample."""
         return None
-
-    @property
-    def redraws(self) -> bool:
-        """See `lmd.objectives.base.Redrawing`."""
-        return self.draw is not None
-
-    def redrawn(self, scene: Scene, rng: np.random.Generator) -> tuple["Filtered", Scene]:
-        """See `lmd.objectives.base.Redrawing`; as many new drives as training drives. `self.draw` must not be None."""
-        assert self.draw is not None
-        drives = replace(self.drives, trajectories=[self.draw(rng) for _ in range(len(self.drives))])
-        return replace(self, drives=drives), drives.scene(scene)
 
     @property
     def headline(self) -> Headline:

@@ -127,10 +127,9 @@ class Ascent:
         def sampled(seed: int) -> FloatArray:
             sample = problem.resampled(0.0, np.random.default_rng(seed))
             assert sample is not None, "the objective has a sampling"
-            objective, evaluator, relevance = sample
-            field = field_of(objective, evaluator)
+            field = field_of(problem.objective, sample[0])
             state, out = field.state(here), np.zeros((len(here), 2))
-            target = slope_target(target_of(objective, field, evaluator, relevance), state.units)
+            target = slope_target(target_of(problem.objective, field, *sample), state.units)
             scratch = field.scratch(state)
             runner(field, slopes)(
                 problem.fixed_count, field, state, scratch, target, surfaces, DIFFERENCE_M, WIDTH, out

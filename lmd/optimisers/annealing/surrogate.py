@@ -2,7 +2,7 @@
 
 A surrogate simplifies the problem in one or both of two ways: by *stacks*, groups of n coincident landmarks that hide
 no other landmark, or by footprints smaller than their true size. If the objective is evaluated on random samples of
-poses, or on random drives, new ones are drawn for each phase (a number of moves with constant settings).
+poses, new samples are drawn for each phase (a number of moves with constant settings).
 """
 
 import math
@@ -17,7 +17,6 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.core.layers import layer, layers
 from lmd.core.threads import at_once
 from lmd.incremental.field import Field, Places, Stacking, placed, places_of, runner, stack_of, total_fitness
-from lmd.objectives.base import Objective
 from lmd.objectives.crowd import target_of
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.moves import FootprintArrays, Settings
@@ -71,17 +70,18 @@ class Surrogate:
         self._problem, self._most_walkers = problem, walkers
         self._threads = problem.evaluator.threads
         self._surfaces = SurfaceArrays.of(problem.scene.footprints.hanging.surfaces())
-        self._lay_out(problem.objective, problem.fitness_evaluator, problem.fitness_relevance)
+        self._lay_out(problem.fitness_evaluator, problem.fitness_relevance)
         self._climbed: tuple[bool, float] | None = None  # `in_stacks` and `size` of the last walk
         self._footprints: FootprintArrays
         self._field: Field
         self._walkers: list[Walker]
 
-    def _lay_out(self, objective: Objective, evaluator: Evaluator, relevance: FloatArray) -> None:
+    def _lay_out(self, evaluator: Evaluator, relevance: FloatArray) -> None:
         """Set the incremental evaluator (field), and the functions that compute the fitness from its values (target).
 
         Both use the P camera positions of `evaluator`, which have the weights `relevance` `(P,)` in the fitness.
         """
+        objective = self._problem.objective
         self._true = field_of(objective, evaluator)
         self._target = target_of(objective, self._true, evaluator, relevance)
 
@@ -93,13 +93,13 @@ class Surrogate:
     def is_true(self, count: int, conditions: Conditions) -> bool:
         """True if the fitness that a walk records is the exact fitness of a deployment.
 
-        This holds if the problem is not simplified, its positions are not drawn anew, and there is a single walk.
+        This holds if the problem is not simplified, is not evaluated on random samples, and there is a single walk.
 
         Args:
             count: number of landmarks or stacks.
             conditions: settings of the walk.
         """
-        exact = not self._problem.redraws and not conditions.in_stacks and conditions.size == 1.0
+        exact = self._problem.objective.sampling is None and not conditions.in_stacks and conditions.size == 1.0
         return exact and self._shared_out(count, conditions.in_stacks)[1] == 1
 
     def walk(
@@ -136,8 +136,8 @@ class Surrogate:
         """Prepare the walks, and return the places of all landmarks at which the walks must begin.
 
         `NOWHERE`, without places, is returned if the walks are there already. If the objective is evaluated on random
-        samples or drives, new ones are drawn. The size of a sample grows with the square of the completed fraction of
-        the stage, because the gains of late moves are smaller than the error of a small sample.
+        samples, a new sample is drawn. The sample's size grows with the square of the completed fraction of the stage,
+        because the gains of late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size
         redrawn = self._problem.resampled(LARGEST * conditions.done**2, rng)
