@@ -1,4 +1,4 @@
-"""`lmd` names arguments; only the pipelines know the configuration."""
+"""`lmd` names arguments; only the pipelines know the configuration, and benchmarks its commands."""
 
 import ast
 import re
@@ -32,3 +32,10 @@ def messages(path):
 @pytest.mark.parametrize("path", list(modules()))
 def test_no_message_of_the_library_names_a_config_key(path):
     assert [text for text in messages(path) if KEY.search(text)] == []
+
+
+def test_benchmarks_compose_only_commands_that_exist():
+    sources = [path.read_text() for path in (ROOT / "benchmarks").glob("*.py")]
+    composed = {name for text in sources for name in re.findall(r"\bcomposed?\(\s*\"(\w+)\"", text)}
+    assert len(composed) > 1
+    assert not [name for name in composed if not (ROOT / "conf" / f"{name}.yaml").exists()]

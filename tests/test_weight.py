@@ -12,10 +12,10 @@ import weight
 # amount, and raise none.
 BUDGET = {
     "files of lmd": 297,
-    "code lines of lmd": 28590,
+    "code lines of lmd": 28564,
     "files of pipelines": 48,
     "code lines of pipelines": 3400,
-    "code lines of tests": 20440,
+    "code lines of tests": 20431,
     "files of conf": 100,
     "keys of conf": 376,
     "words of docs": 40845,
