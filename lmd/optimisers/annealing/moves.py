@@ -306,7 +306,7 @@ GIVEN_STAGE = replace(SINGLE_STAGE, temperature=(1e-4, 2e-6), width=(0.02, 0.002
 # A greedy start is good: less heat keeps what was chosen, and more jumps find the places that the choice has missed.
 # Single tags are not bound to the places of others as the tags of a cluster are, so their last steps stay larger.
 CHOSEN_STAGE = replace(GIVEN_STAGE, temperature=(5e-5, 2e-6), step=(0.3, 0.05), jump=0.1, join=0.1)
-# For coverage by hundreds of tags, a wider smooth step and more heat at the end are better.
+# Refines the choice of `greedy`. For coverage by hundreds of tags this is better than `CHOSEN_STAGE`.
 REFINING_STAGE = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3, 0.05), margin=0.002, share=0.1)
 
 
