@@ -18,7 +18,7 @@ BUDGET = {
     "code lines of tests": 20431,
     "files of conf": 100,
     "keys of conf": 376,
-    "words of docs": 40842,
+    "words of docs": 40839,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
